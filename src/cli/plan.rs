@@ -10,13 +10,14 @@ use crate::{
     apps::{
         dispatch::Dispatch,
         replan::{EarlierPlan, MapFolder, known_maps, replan},
-        report::{DepthMapFolders, own_folder_of_maps},
+        report::{DepthMapFolders, MissedRegion, own_folder_of_maps},
     },
     backends::{self, Backend, Choice, KnownMaps},
     base::{
+        advice::on_command_line,
         error::{Advice, Hint},
         progress::{Stage, Watcher},
-        shell::command_path,
+        shell::{command_path, shown_path},
     },
     config::{CommandLineSettings, Settings},
     io::{
@@ -240,7 +241,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let progress = ProgressDisplay::new(arguments.quiet);
     let is_survey = settings.region.is_some() || settings.target.gsd.is_some();
     let mut plan = planning::plan(&project, &settings, &progress)
-        .map_err(|error| far_off(error, &project, &settings))?;
+        .map_err(|error| refused(error, arguments, &project, &settings))?;
     if !arguments.dry_run {
         output::recover(&project.home, &project.disk())?;
     }
@@ -445,6 +446,52 @@ fn refuse_missing_images(project: &Project) -> Result<(), Failure> {
         )),
         _ => Ok(()),
     }
+}
+
+/// Name of the set of images to take of a region without surface, and their folder.
+const MISSED_SET: &str = "missed-region";
+const MISSED: &str = "viewrank/missed-region";
+
+/// Adds to the error of a plan what else is known; of a region without surface, plans the images to
+/// take of it.
+fn refused(
+    error: PlanError,
+    arguments: &Arguments,
+    project: &Project,
+    settings: &Settings,
+) -> Failure {
+    let found = match &error {
+        PlanError::Region(region) if region.is_of_bare_ground() => {
+            MissedRegion::find(project, settings)
+        }
+        _ => None,
+    };
+    let Some(missed) = found else {
+        return far_off(error, project, settings);
+    };
+    missed.cautions.iter().for_each(|caution| warn(caution));
+    let what = format!("{} No depth map can be planned: {error}", missed.headline());
+    let mut files = FileSet::new(&project.home, MISSED_SET);
+    for (name, text) in missed.files {
+        let name = name.strip_prefix("flight/").unwrap_or(name);
+        files.add_text(format!("{MISSED}/{name}"), text);
+    }
+    let hint = match missed.waypoints {
+        0 => None,
+        _ if arguments.dry_run => None,
+        images => match files.write(&project.disk()) {
+            Ok(_) => Some(format!(
+                "take the {images} images that are planned in {}, or draw the region on over a part of the surface",
+                shown_path(&project.home.join(MISSED))
+            )),
+            Err(error) => {
+                warn(&error.to_string());
+                None
+            }
+        },
+    };
+    let own = || error.hint().map(|hint| on_command_line(&hint));
+    Failure::new(Exit::Failed, what, hint.or_else(own))
 }
 
 /// Adds the resolution of the model to the error of a surface for which a far coarser or finer one

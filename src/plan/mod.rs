@@ -31,7 +31,10 @@ pub use georeference::{georeference, metres_per_unit, positions_in_images};
 pub use inputs::metres;
 pub use memory::Memory;
 pub use mesh::MeshError;
-pub use region::{GroundSummary, RegionFileError, area_in_words, photographed_ground};
+pub use region::{
+    GroundSummary, RegionFileError, area_in_words, ground_without_surface, photographed_ground,
+    wanted_gsd,
+};
 pub use stages::Stages;
 pub use timings::Timings;
 pub use viewrank_core::decision::{

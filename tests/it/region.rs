@@ -461,9 +461,12 @@ fn auto_takes_the_subject() {
 }
 
 #[test]
-fn a_polygon_beside_the_surface_is_missed_and_one_far_away_is_misplaced() {
+fn a_polygon_beside_the_surface_is_counted_and_its_images_are_planned() {
     let folder = project();
-    for (x, is_near) in [(40.0, true), (1e5, false)] {
+    let waypoints = folder
+        .path()
+        .join("viewrank/missed-region/waypoints_local.json");
+    for (x, is_near) in [(1e5, false), (40.0, true)] {
         let corners = [[x, 0.0], [x + 9.0, 0.0], [x + 9.0, 9.0], [x, 0.0]];
         let polygon = json!({
             "type": "Polygon", "crs": null, "coordinates": [corners],
@@ -472,10 +475,24 @@ fn a_polygon_beside_the_surface_is_missed_and_one_far_away_is_misplaced() {
         fs::write(&file, polygon.to_string()).unwrap();
         let (code, said) = refused(folder.path(), file.to_str().unwrap());
         assert_eq!(code, 1);
-        assert_eq!(
-            said.contains("100 % of its area is missed"),
-            is_near,
-            "{said}"
-        );
+        let shares = [
+            "spans 0.0 % of it",
+            "No photograph shows 100.0 % of the region",
+        ];
+        for share in shares {
+            assert_eq!(said.contains(share), is_near, "{said}");
+        }
+        assert_eq!(said.contains("viewrank/missed-region"), is_near, "{said}");
+        assert_eq!(waypoints.is_file(), is_near);
     }
+    let planned: Value = serde_json::from_slice(&fs::read(&waypoints).unwrap()).unwrap();
+    let images = planned["features"].as_array().unwrap();
+    let places = images
+        .iter()
+        .map(|image| &image["geometry"]["coordinates"][0]);
+    assert!(
+        places
+            .into_iter()
+            .any(|x| (40.0..49.0).contains(&x.as_f64().unwrap()))
+    );
 }

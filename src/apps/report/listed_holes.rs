@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use super::{
     contents::ReportError,
-    flight::{self, BareGround, Flight, bare_ground},
+    flight::{self, BareGround, Flight, Site, bare_ground},
     holes::{Hole, Holes},
 };
 use crate::{
@@ -49,7 +49,11 @@ impl ListedHoles {
             .map(|hole| HoleData::new(hole, frame, place, needed))
             .collect();
         let for_holes = flight.waypoints.len();
-        if let Some(bare) = bare_ground(plan, frame, needed, &flight.waypoints) {
+        let site = Site::of_plan(&plan.stages);
+        let ground = plan.stages.ground.as_ref();
+        let bare =
+            ground.and_then(|ground| bare_ground(&site, ground, frame, needed, &flight.waypoints));
+        if let Some(bare) = bare {
             listed.insert(0, HoleData::of_ground(&bare, frame, place, needed));
             flight = flight.with_ground_first(&bare);
         }
@@ -57,7 +61,7 @@ impl ListedHoles {
             holes: listed,
             for_holes,
             cautions: flight.cautions(plan.stages.metres),
-            remarks: flight.remarks(&plan.stages),
+            remarks: flight.remarks(flight::purpose(&plan.stages), plan.stages.metres),
             flight,
         })
     }
@@ -114,9 +118,7 @@ impl HoleData {
             area: bare.area,
             triangles: 0,
             reason: Reason::number(Some(Reason::TooFewCameras)).into(),
-            missing: format!(
-                "bare ground: fewer photographs show it finely enough than the {needed} needed"
-            ),
+            missing: bare.missing(needed),
             advice: "images of it, with more overlap",
             centre: frame.local(&bare.centre),
             place: at.map(|at| [at.latitude, at.longitude]),

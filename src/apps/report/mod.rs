@@ -10,6 +10,7 @@ mod flight;
 mod history;
 mod holes;
 mod listed_holes;
+mod missed_region;
 mod ranking;
 mod real;
 mod shown;
@@ -24,6 +25,7 @@ use crate::base::printable::json_escaped;
 pub use contents::{Contents, ReportError};
 pub use flight::MOST as MOST_PLANNED;
 pub use holes::{Hole, Holes, holes};
+pub use missed_region::MissedRegion;
 pub use real::{DepthMapFolders, folders_of_maps, own_folder_of_maps};
 
 const PAGE: &str = include_str!("page/page.html");

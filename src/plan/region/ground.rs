@@ -197,10 +197,28 @@ pub fn photographed_ground(
     settings: &Settings,
     without_image: &[ViewIndex],
 ) -> Result<Option<GroundSummary>, RegionFileError> {
-    // As the plan wants it.
+    let ground = ground_without_surface(scene, place, settings, without_image)?;
+    let needed = settings.coverage.min_cameras;
+    Ok(ground.map(|ground| GroundSummary::new(&ground, false, needed)))
+}
+
+/// Ground sampling distance that a plan of the scene wants, scene units per pixel of the matched
+/// images.
+pub fn wanted_gsd(scene: &Scene, settings: &Settings) -> Option<f64> {
+    let by_images = || Some(GSD_MARGIN * scene.median_gsd()? / settings.image_scale());
+    settings.target.gsd.or_else(by_images)
+}
+
+/// The ground of the region of the settings as the photographs show it, without a surface; `None`
+/// without a region.
+pub fn ground_without_surface(
+    scene: &Scene,
+    place: &Georeference,
+    settings: &Settings,
+    without_image: &[ViewIndex],
+) -> Result<Option<Ground>, RegionFileError> {
     let scale = settings.image_scale();
-    let wanted = settings.target.gsd;
-    let gsd = wanted.or_else(|| Some(GSD_MARGIN * scene.median_gsd()? / scale));
+    let gsd = wanted_gsd(scene, settings);
     let (Some(choice), Some(gsd)) = (&settings.region, gsd) else {
         return Ok(None);
     };
@@ -213,13 +231,11 @@ pub fn photographed_ground(
         image_scale: scale,
         surface: None,
     };
-    let ground = region.footprint(&frame).and_then(|area| {
+    Ok(region.footprint(&frame).and_then(|area| {
         Ground::new(&area, &photographed, &frame, &NoWatcher)
             .ok()
             .flatten()
-    });
-    let needed = settings.coverage.min_cameras;
-    Ok(ground.map(|ground| GroundSummary::new(&ground, false, needed)))
+    }))
 }
 
 #[cfg(test)]

@@ -4,7 +4,9 @@ mod ground;
 
 use std::path::{Path, PathBuf};
 
-pub use ground::{GroundSummary, area_in_words, photographed_ground};
+pub use ground::{
+    GroundSummary, area_in_words, ground_without_surface, photographed_ground, wanted_gsd,
+};
 
 use crate::{
     base::error::{Advice, Hint},

@@ -10,12 +10,15 @@ use std::{
 use nalgebra::Point3;
 use rayon::prelude::*;
 
-use super::{Waypoint, candidates};
+use super::{Site, Waypoint, candidates};
 use crate::{
     base::{kd_tree::KdTree, median::upper_median},
     method::region::{Ground, GroundCell},
-    model::{camera::Camera, georeference::MapFrame, scene::CameraIndex},
-    plan::Plan,
+    model::{
+        camera::Camera,
+        georeference::MapFrame,
+        scene::{CameraIndex, Scene},
+    },
 };
 
 /// Most images that are planned; of more, those nearest to the photographs.
@@ -50,6 +53,13 @@ pub struct BareGround {
     pub spacing: Option<[f64; 2]>,
 }
 
+impl BareGround {
+    /// What it lacks.
+    pub fn missing(&self, needed: u32) -> String {
+        format!("bare ground: fewer photographs show it finely enough than the {needed} needed")
+    }
+}
+
 /// A square of the grid of images: column and row.
 type Square = [i64; 2];
 
@@ -71,32 +81,32 @@ struct Overhead<'a> {
     step: f64,
 }
 
-/// Plans the images; `None` without a region, or without such ground. `needed`: cameras that must
+/// Plans the images; `None` without such ground. `needed`: cameras that must
 /// see a place; `planned`: images for the other holes, which show some of it.
 pub fn bare_ground(
-    plan: &Plan,
+    site: &Site,
+    ground: &Ground,
     frame: &MapFrame,
     needed: u32,
     planned: &[Waypoint],
 ) -> Option<BareGround> {
-    let ground = plan.stages.ground.as_ref()?;
-    let camera = candidates::usual_camera(plan)?;
+    let camera = candidates::usual_camera(site.scene)?;
     let is_bare = |cell: &&GroundCell| is_bare(cell, needed);
     let bare: Vec<GroundCell> = ground.cells.iter().filter(is_bare).copied().collect();
     if (bare.len() as f64) < WORTH_IT * ground.cells.len() as f64 {
         return None;
     }
-    let flown = Flown::new(plan, frame);
+    let flown = Flown::new(site.scene, frame);
     // The finest first: its images show some of what the others want.
     let mut all = planned.to_vec();
     let (mut uncovered, mut more, mut spacing) = (0.0, 0, None);
     for cells in by_resolution(&bare) {
-        let images = Overhead::new(plan, camera, cells[0].gsd);
+        let images = Overhead::new(site, camera, cells[0].gsd);
         // What the images until now leave.
         let left = images.lacking(ground, cells, needed, &all);
         let first = all.len() - planned.len();
         let part = images.part(&left, ground.side, &flown, MOST - first);
-        let waypoints = images.waypoints(plan, ground, frame, &part.chosen);
+        let waypoints = images.waypoints(site, ground, frame, &part.chosen);
         spacing = spacing.or_else(|| images.spacing(&part.chosen));
         all.extend(waypoints.into_iter().map(|waypoint| Waypoint {
             rank: first + waypoint.rank,
@@ -146,9 +156,9 @@ struct Part {
 }
 
 impl<'a> Overhead<'a> {
-    fn new(plan: &'a Plan, camera: CameraIndex, gsd: f64) -> Self {
-        let camera = &plan.stages.scene.cameras[camera.index()];
-        let distance = candidates::distance(plan, gsd, camera);
+    fn new(site: &Site<'a>, camera: CameraIndex, gsd: f64) -> Self {
+        let camera = &site.scene.cameras[camera.index()];
+        let distance = candidates::distance(site.image_scale, gsd, camera);
         Self {
             camera,
             distance,
@@ -257,12 +267,12 @@ impl<'a> Overhead<'a> {
     /// surface nearby; without any, above the fitted plane.
     fn waypoints(
         &self,
-        plan: &Plan,
+        site: &Site,
         ground: &Ground,
         frame: &MapFrame,
         chosen: &BTreeSet<Square>,
     ) -> Vec<Waypoint> {
-        let heights = self.heights(plan, frame, chosen);
+        let heights = self.heights(site.surface, frame, chosen);
         let up = ground.plane.up();
         let waypoint = |(n, square): (usize, &Square)| {
             let on_plane = ground.plane.at(self.middle(*square));
@@ -362,12 +372,12 @@ impl<'a> Overhead<'a> {
     /// Height of the highest vertex of the surface in or beside each square, where there is one.
     fn heights(
         &self,
-        plan: &Plan,
+        surface: &[Point3<f64>],
         frame: &MapFrame,
         squares: &BTreeSet<Square>,
     ) -> BTreeMap<Square, f64> {
         let mut heights: BTreeMap<Square, f64> = BTreeMap::new();
-        for vertex in &plan.stages.surface.vertices {
+        for vertex in surface {
             let [x, y, z] = frame.local(vertex);
             for beside in around(self.square([x, y])).filter(|beside| squares.contains(beside)) {
                 let height = heights.entry(beside).or_insert(z);
@@ -415,8 +425,8 @@ struct Flown {
 }
 
 impl Flown {
-    fn new(plan: &Plan, frame: &MapFrame) -> Self {
-        let centres = plan.stages.scene.views.iter();
+    fn new(scene: &Scene, frame: &MapFrame) -> Self {
+        let centres = scene.views.iter();
         let flat = centres.map(|view| frame.local(&view.cam_from_world.centre()));
         Self::at(flat.map(|[x, y, _]| [x, y]))
     }

@@ -9,7 +9,7 @@ use crate::{
     model::{
         camera::Camera,
         georeference::MapFrame,
-        scene::{CameraIndex, Pose},
+        scene::{CameraIndex, Pose, Scene},
     },
     plan::Plan,
 };
@@ -42,14 +42,14 @@ const LOWEST: f64 = -0.2;
 /// distance that gives the wanted resolution with the camera that took the most images, and clear
 /// of the surface.
 pub fn around(plan: &Plan, holes: &[Hole], frame: &MapFrame) -> Vec<Candidate> {
-    let Some(camera) = usual_camera(plan) else {
+    let Some(camera) = usual_camera(&plan.stages.scene) else {
         return Vec::new();
     };
     let lens = &plan.stages.scene.cameras[camera.index()];
     let mut all: Vec<Candidate> = Vec::new();
     for (number, hole) in holes.iter().enumerate() {
         let gsd = f64::from(plan.stages.target.gsd[hole.deepest as usize]);
-        let distance = distance(plan, gsd, lens);
+        let distance = distance(plan.stages.settings.image_scale(), gsd, lens);
         let step = step(distance);
         for (place, normal) in places(&plan.stages.surface, hole, step) {
             for direction in directions(&normal, &frame.axes[2]) {
@@ -86,9 +86,10 @@ pub fn around(plan: &Plan, holes: &[Hole], frame: &MapFrame) -> Vec<Candidate> {
     all
 }
 
-/// Distance from which a camera reaches a ground sampling distance, scene units.
-pub fn distance(plan: &Plan, gsd: f64, camera: &Camera) -> f64 {
-    gsd * camera.mean_focal_length() * plan.stages.settings.image_scale() / GSD_MARGIN
+/// Distance from which a camera reaches a ground sampling distance at a size of its images, scene
+/// units.
+pub fn distance(image_scale: f64, gsd: f64, camera: &Camera) -> f64 {
+    gsd * camera.mean_focal_length() * image_scale / GSD_MARGIN
 }
 
 /// Distance between neighbouring candidates at a distance from what they look at.
@@ -98,10 +99,9 @@ pub fn step(distance: f64) -> f64 {
 
 /// Returns the camera with the most views, the first one in a tie; `None` if it has no valid focal
 /// length.
-pub fn usual_camera(plan: &Plan) -> Option<CameraIndex> {
-    let mut views = vec![0usize; plan.stages.scene.cameras.len()];
-    plan.stages
-        .scene
+pub fn usual_camera(scene: &Scene) -> Option<CameraIndex> {
+    let mut views = vec![0usize; scene.cameras.len()];
+    scene
         .views
         .iter()
         .for_each(|view| views[view.camera.index()] += 1);
@@ -110,7 +110,7 @@ pub fn usual_camera(plan: &Plan) -> Option<CameraIndex> {
         camera.mean_focal_length().is_finite() && camera.mean_focal_length() > 0.0
     };
     let found = views.iter().position(|&n| n == most)?;
-    has_focal(&plan.stages.scene.cameras[found]).then_some(CameraIndex(found as u32))
+    has_focal(&scene.cameras[found]).then_some(CameraIndex(found as u32))
 }
 
 /// Returns places on the hole, the deepest first, at least `step` apart, each with the mean normal

@@ -15,8 +15,9 @@ use nalgebra::{Point3, Vector3};
 use super::holes::Hole;
 use crate::{
     base::progress::Watcher,
+    config::Settings,
     method::{target::GSD_MARGIN, visibility::VisibilityError},
-    model::georeference::MapFrame,
+    model::{georeference::MapFrame, scene::Scene},
     plan::{Plan, Stages, length_in_words},
 };
 
@@ -60,6 +61,26 @@ pub struct Flight {
     pub more: usize,
     /// Spacing of the images over bare ground: [`BareGround::spacing`].
     pub spacing: Option<[f64; 2]>,
+}
+
+/// What images straight down are planned by.
+#[derive(Clone, Copy)]
+pub struct Site<'a> {
+    pub scene: &'a Scene,
+    /// Size of the matched images over that of the model's.
+    pub image_scale: f64,
+    /// Vertices of the surface, above which they stay; none where it is unknown.
+    pub surface: &'a [Point3<f64>],
+}
+
+impl<'a> Site<'a> {
+    pub fn of_plan(stages: &'a Stages) -> Self {
+        Self {
+            scene: &stages.scene,
+            image_scale: stages.settings.image_scale(),
+            surface: &stages.surface.vertices,
+        }
+    }
 }
 
 /// Plans the images for the holes.
@@ -149,15 +170,15 @@ impl Flight {
     }
 
     /// Returns notes on the planned images: what they are for, their margin and distances, and the
-    /// cautions.
-    pub fn remarks(&self, stages: &Stages) -> String {
+    /// cautions. `purpose`: as [`purpose`].
+    pub fn remarks(&self, purpose: String, metres: Option<f64>) -> String {
         let spacing = self.spacing.map(|spacing| {
-            let [along, between] = spacing.map(|apart| length_in_words(apart, stages.metres));
+            let [along, between] = spacing.map(|apart| length_in_words(apart, metres));
             format!("Over bare ground they are {along} apart on a line, and the lines {between}.")
         });
-        let cautions = self.cautions(stages.metres).into_iter();
+        let cautions = self.cautions(metres).into_iter();
         let cautions = cautions.map(|caution| format!("Note: {caution}."));
-        [purpose(stages), margin()]
+        [purpose, margin()]
             .into_iter()
             .chain(spacing)
             .chain(cautions)
@@ -169,27 +190,33 @@ impl Flight {
 /// Says for which resolution and region the files of a flight are, to tell them from those of
 /// another plan.
 pub fn purpose(stages: &Stages) -> String {
-    let region = stages
-        .settings
-        .region
-        .as_ref()
-        .map(|region| match region.file() {
-            Some(file) => file
-                .file_name()
-                .unwrap_or_default()
-                .to_string_lossy()
-                .into_owned(),
-            None => region.to_string(),
-        });
+    let in_words = |gsd| stages.gsd_in_words(gsd);
+    purpose_of(&stages.settings, &stages.wanted(), in_words)
+}
+
+/// The same of settings without a plan. `wanted`: the resolution.
+pub fn purpose_of(
+    settings: &Settings,
+    wanted: &str,
+    gsd_in_words: impl Fn(f64) -> String,
+) -> String {
+    let region = settings.region.as_ref().map(|region| match region.file() {
+        Some(file) => file
+            .file_name()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .into_owned(),
+        None => region.to_string(),
+    });
     let region = region.map_or_else(String::new, |region| format!("; region: {region}"));
     // Images at a part of their size show less than they do as photographs.
-    let scale = stages.settings.image_scale();
-    let of_photographs = stages.settings.target.gsd.filter(|_| scale != 1.0);
+    let scale = settings.image_scale();
+    let of_photographs = settings.target.gsd.filter(|_| scale != 1.0);
     let of_photographs = of_photographs.map_or_else(String::new, |gsd| {
-        let own = stages.gsd_in_words(gsd * scale);
+        let own = gsd_in_words(gsd * scale);
         format!(" in depth maps at image_scale {scale}, so {own} in a photograph")
     });
-    format!("Planned for {}{of_photographs}{region}.", stages.wanted())
+    format!("Planned for {wanted}{of_photographs}{region}.")
 }
 
 fn margin() -> String {

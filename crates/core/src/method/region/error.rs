@@ -77,7 +77,13 @@ impl RegionError {
         }
     }
 
-    /// Returns whether the region is beside the surface, at most [`NEAR`] times its size away.
+    /// Returns whether the region is probably where it was meant, on ground without surface.
+    pub fn is_of_bare_ground(&self) -> bool {
+        self.is_near() && !self.is_in_degrees()
+    }
+
+    /// Returns whether the region is beside the surface, at most [`NEAR`] times its size away, or in
+    /// a gap of it.
     fn is_near(&self) -> bool {
         let Self::OutsideMap { region, model, .. } = self else {
             return false;
@@ -151,9 +157,9 @@ impl Hint for RegionError {
             }
             _ if self.is_near() => {
                 return Some(
-                    Advice::text("no photograph shows any of it: 100 % of its area is missed, and nothing can be planned there; draw it on over a part of the surface, and ")
-                        .run("report")
-                        .and(" after the plan has the images to take of the rest"),
+                    Advice::text("no surface means no depth maps: take images of it, which ")
+                        .run("plan")
+                        .and(" plans, too, or draw it on over a part of the surface"),
                 );
             }
             Self::OutsideMap {
