@@ -160,6 +160,8 @@ fn write_exr(path: &Path, side: i32) {
 #[test]
 fn a_depth_map_that_claims_gigapixels_is_left_out_by_evaluate_and_watch() {
     let root = Root::new(&["p", "q"]);
+    let settings = root.project("p").join("viewrank.toml");
+    fs::write(settings, "backends = [\"alicevision\"]\n").unwrap();
     succeeds(root.watch(&["--once"]));
     let maps = root.project("p").join("alicevision");
     fs::create_dir(&maps).unwrap();
