@@ -6,7 +6,7 @@ use std::{
     process::{Command, Stdio},
 };
 
-use super::{BACKENDS, Backend, colmap, mve, openmvs, sgm};
+use super::{BACKENDS, Backend, alicevision, colmap, mve, openmvs, sgm};
 use crate::{base::platform, config::Settings, config::UnknownBackend, io::project::Project};
 
 /// How the backend came to be chosen.
@@ -132,6 +132,9 @@ pub fn can_match_here(backend: &Backend) -> bool {
         name if name == openmvs::BACKEND.name => densify().is_some(),
         name if name == colmap::BACKEND.name => colmap_with_gpu().is_some(),
         name if name == mve::BACKEND.name => installed("DMRECON", "dmrecon").is_some(),
+        name if name == alicevision::BACKEND.name => {
+            installed("ALICEVISION", "aliceVision_depthMapEstimation").is_some()
+        }
         name if name == sgm::BACKEND.name => import_error(&python()).is_none(),
         _ => false,
     }

@@ -19,7 +19,7 @@ use crate::{
         progress::{Stage, Watcher},
         shell::{command_path, shown_path},
     },
-    config::{CommandLineSettings, Settings},
+    config::{CommandLineSettings, Settings, TypedSetting},
     io::{
         depthmaps::{self, DepthMapError},
         output::{self, Disk, FileSet, OutputError},
@@ -205,54 +205,18 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     if let Some(path) = &arguments.dump_surface {
         output::refuse_to_replace(path)?;
     }
-    let project = Project::open_or_planned(&arguments.project, arguments.model.as_deref())?;
-    let settings = config::load(Some(&project), arguments.typed())?.settings;
-    let project = project.with_images(settings.images.as_deref());
-    let at_home = match &arguments.out {
-        Some(out) => &project.clone().with_home(out),
-        None => &project,
-    };
-    let kept = kept_backends(at_home, &settings)?;
-    let dropped_region = planned_options(&at_home.home)
-        .into_iter()
-        .find(|option| option.key == "region" && settings.region.is_none());
-    let mut settings = Settings {
-        backends: match &kept {
-            Some(kept) => kept.iter().map(|backend| backend.name.into()).collect(),
-            None => settings.backends,
-        },
-        ..settings
-    };
-    settings.test_every = kept_test_every(&at_home.home, &settings);
-    let (project, settings) = matchable(arguments, project, settings)?;
-    let project = match &arguments.out {
-        Some(out) => {
-            refuse_nested(out)?;
-            project.with_home(out)
-        }
-        None => project,
-    };
-    refuse_missing_images(&project)?;
-    refuse_other_plan(&project)?;
+    let Input {
+        project,
+        settings,
+        keeps_backend,
+        dropped_region,
+    } = Input::read(arguments)?;
     if !arguments.dry_run {
         Dispatch::refuse_if_at_work(&project)?;
         refuse_unwritable(arguments, &project)?;
     }
     let progress = ProgressDisplay::new(arguments.quiet);
-    let is_survey = settings.region.is_some() || settings.target.gsd.is_some();
-    let mut plan = planning::plan(&project, &settings, &progress)
-        .map_err(|error| refused(error, arguments, &project, &settings))?;
-    if !arguments.dry_run {
-        output::recover(&project.home, &project.disk())?;
-    }
-    let finished = match &arguments.finished {
-        // Whoever names a folder vouches for its maps.
-        Some(folder) => Some((folder.clone(), earlier(&project)?, None)),
-        None => own_maps(&plan, &project),
-    };
-    if let Some((folder, earlier, known)) = finished {
-        plan = around_finished(plan, &folder, &earlier, known, &progress)?;
-    }
+    let mut plan = planned(arguments, &project, &settings, &progress)?;
     let files = files_of_same_model(&plan, &project)
         .inspect_err(|_| plan.warnings.iter().for_each(|warning| warn(warning)))?;
     if !arguments.dry_run {
@@ -265,8 +229,8 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     };
     progress.finish();
     let asked = Asked {
-        is_survey,
-        keeps_backend: kept.is_some(),
+        is_survey: settings.region.is_some() || settings.target.gsd.is_some(),
+        keeps_backend,
         dropped_region,
         page,
     };
@@ -276,6 +240,77 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
             Err(Failure::from(ExportFailure(missing.to_vec())).behind_result())
         }
         _ => Ok(()),
+    }
+}
+
+/// What is planned, and what of the plan before was kept for it or was not.
+struct Input {
+    project: Project,
+    settings: Settings,
+    keeps_backend: bool,
+    dropped_region: Option<TypedSetting>,
+}
+
+impl Input {
+    fn read(arguments: &Arguments) -> Result<Self, Failure> {
+        let project = Project::open_or_planned(&arguments.project, arguments.model.as_deref())?;
+        let settings = config::load(Some(&project), arguments.typed())?.settings;
+        let project = project.with_images(settings.images.as_deref());
+        let at_home = match &arguments.out {
+            Some(out) => &project.clone().with_home(out),
+            None => &project,
+        };
+        let kept = kept_backends(at_home, &settings)?;
+        let dropped_region = planned_options(&at_home.home)
+            .into_iter()
+            .find(|option| option.key == "region" && settings.region.is_none());
+        let mut settings = Settings {
+            backends: match &kept {
+                Some(kept) => kept.iter().map(|backend| backend.name.into()).collect(),
+                None => settings.backends,
+            },
+            ..settings
+        };
+        settings.test_every = kept_test_every(&at_home.home, &settings);
+        let (project, settings) = matchable(arguments, project, settings)?;
+        let project = match &arguments.out {
+            Some(out) => {
+                refuse_nested(out)?;
+                project.with_home(out)
+            }
+            None => project,
+        };
+        refuse_missing_images(&project)?;
+        refuse_other_plan(&project)?;
+        Ok(Self {
+            project,
+            settings,
+            keeps_backend: kept.is_some(),
+            dropped_region,
+        })
+    }
+}
+
+/// Returns the plan, around the depth maps that are finished.
+fn planned(
+    arguments: &Arguments,
+    project: &Project,
+    settings: &Settings,
+    progress: &ProgressDisplay,
+) -> Result<Plan, Failure> {
+    let plan = planning::plan(project, settings, progress)
+        .map_err(|error| refused(error, arguments, project, settings))?;
+    if !arguments.dry_run {
+        output::recover(&project.home, &project.disk())?;
+    }
+    let finished = match &arguments.finished {
+        // Whoever names a folder vouches for its maps.
+        Some(folder) => Some((folder.clone(), earlier(project)?, None)),
+        None => own_maps(&plan, project),
+    };
+    match finished {
+        Some((folder, earlier, known)) => around_finished(plan, &folder, &earlier, known, progress),
+        None => Ok(plan),
     }
 }
 

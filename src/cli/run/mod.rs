@@ -7,7 +7,7 @@ mod work;
 
 use std::{
     path::{Path, PathBuf},
-    sync::atomic::Ordering,
+    sync::atomic::{AtomicBool, Ordering},
     thread,
 };
 
@@ -134,50 +134,8 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         choice.describe()
     ))?;
     let own = project.root.clone();
-    let scene = project.read_scene()?;
-    let is_distorted = scene
-        .view_indices()
-        .any(|view| !scene.camera_of(view).is_pinhole());
-    let is_to_undistort = is_distorted && !backend.takes_distorted;
-    let workspace = if is_to_undistort {
-        foreign_workspace(&project, backend)?
-    } else {
-        None
-    };
-    // The images that are matched must be there, those that they were made from need not.
-    let (matched, scene) = match &workspace {
-        Some(workspace) => (workspace, workspace.read_scene()?),
-        None => (&project, scene),
-    };
-    // Ctrl-C also ends the programs that are asked what they can do.
-    let stopped = || Failure::stopped("before planning", arguments.go_on());
-    ready::check(backend, matched, scene, arguments.program.as_deref()).map_err(|failure| {
-        if stop.load(Ordering::Relaxed) {
-            stopped()
-        } else {
-            failure
-        }
-    })?;
-    Dispatch::refuse_if_at_work(&project)?;
-    let root = match workspace {
-        Some(workspace) => workspace.root,
-        None if is_to_undistort => undistorted_project(arguments, project, backend)?,
-        None => project.root,
-    };
-    let is_own = root == own;
-    let mut planned = options_of_maps(&root);
-    if planned.is_empty() {
-        planned = options_of_maps(&own);
-    }
-    planned.retain(|option| is_own || option.key != "images");
-    let typed = arguments.typed(Some(backend.name), is_own);
-    let typed = typed.following(planned);
-    let configuration = config::load(Some(&Project::open(&root, None)?), typed.clone())?;
-    let followed: Vec<&TypedSetting> = configuration.followed().collect();
-    config::refuse_outside(&followed, &own)?;
-    if !arguments.is_silent() {
-        note_followed(&root, &followed);
-    }
+    let root = matched_root(arguments, project, backend, &stop)?;
+    let typed = typed_for(arguments, &root, &own, backend)?;
     let foreground = Foreground::new(&root, typed, &stop);
     let mut work = Work::new(arguments, backend, &foreground, &stop, PlanWhen::Outdated)?;
     say(work.plan_in_words())?;
@@ -193,6 +151,69 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         ended = work.compute()?;
     }
     work.end(ended)
+}
+
+/// Returns the folder of the project that is matched: its own, or a workspace of undistorted images.
+fn matched_root(
+    arguments: &Arguments,
+    project: Project,
+    backend: &'static Backend,
+    stop: &AtomicBool,
+) -> Result<PathBuf, Failure> {
+    let scene = project.read_scene()?;
+    let is_distorted = scene
+        .view_indices()
+        .any(|view| !scene.camera_of(view).is_pinhole());
+    let is_to_undistort = is_distorted && !backend.takes_distorted;
+    let workspace = if is_to_undistort {
+        foreign_workspace(&project, backend)?
+    } else {
+        None
+    };
+    // The images that are matched must be there, those that they were made from need not.
+    let (matched, scene) = match &workspace {
+        Some(workspace) => (workspace, workspace.read_scene()?),
+        None => (&project, scene),
+    };
+    ready::check(backend, matched, scene, arguments.program.as_deref()).map_err(|failure| {
+        // Ctrl-C also ends the programs that are asked what they can do.
+        if stop.load(Ordering::Relaxed) {
+            Failure::stopped("before planning", arguments.go_on())
+        } else {
+            failure
+        }
+    })?;
+    Dispatch::refuse_if_at_work(&project)?;
+    match workspace {
+        Some(workspace) => Ok(workspace.root),
+        None if is_to_undistort => undistorted_project(arguments, project, backend),
+        None => Ok(project.root),
+    }
+}
+
+/// Returns what was typed now, and of the last plan what still holds in this folder; `own` is the
+/// project's.
+fn typed_for(
+    arguments: &Arguments,
+    root: &Path,
+    own: &Path,
+    backend: &Backend,
+) -> Result<CommandLineSettings, Failure> {
+    let is_own = root == own;
+    let mut planned = options_of_maps(root);
+    if planned.is_empty() {
+        planned = options_of_maps(own);
+    }
+    planned.retain(|option| is_own || option.key != "images");
+    let typed = arguments.typed(Some(backend.name), is_own);
+    let typed = typed.following(planned);
+    let configuration = config::load(Some(&Project::open(root, None)?), typed.clone())?;
+    let followed: Vec<&TypedSetting> = configuration.followed().collect();
+    config::refuse_outside(&followed, own)?;
+    if !arguments.is_silent() {
+        note_followed(root, &followed);
+    }
+    Ok(typed)
 }
 
 /// Opens the project, which must not be the folder of a plan made with `--out`: it is planned and

@@ -2,6 +2,7 @@
 //! image, or by the name in or beside the file.
 
 use std::{
+    borrow::Cow,
     collections::BTreeMap,
     path::{Path, PathBuf},
 };
@@ -345,6 +346,12 @@ fn is_dmap(name: &str) -> bool {
     digits.is_some_and(|d| !d.is_empty() && d.bytes().all(|b| b.is_ascii_digit()))
 }
 
+/// Name of the folder that a map is in.
+fn folder_name(path: &Path) -> Cow<'_, str> {
+    let folder = path.parent().and_then(Path::file_name);
+    folder.unwrap_or_default().to_string_lossy()
+}
+
 fn view_of(
     path: &Path,
     format: DepthMapFormat,
@@ -364,37 +371,20 @@ fn view_of(
             Some(view) => Some(view),
             None => numbers.view(path.file_stem().and_then(|s| s.to_str()))?,
         },
-        DepthMapFormat::Dmb => {
-            let folder = path
-                .parent()
-                .and_then(Path::file_name)
-                .and_then(|s| s.to_str());
-            numbers.view(folder.map(|s| s.trim_start_matches("2333_")))?
-        }
-        DepthMapFormat::Gipuma => {
-            // 2, date, time, and the name of the image without its extension, which may have `_`
-            // itself; 2, hash and number in an export.
-            let folder = path
-                .parent()
-                .and_then(Path::file_name)
-                .unwrap_or_default()
-                .to_string_lossy();
-            match folder.splitn(4, '_').collect::<Vec<_>>()[..] {
-                [_, _, _, stem] => by_stem(scene, stem),
-                _ => numbers.view(folder.rsplit('_').next())?,
-            }
-        }
+        DepthMapFormat::Dmb => numbers.view(Some(folder_name(path).trim_start_matches("2333_")))?,
+        // 2, date, time, and the name of the image without its extension, which may have `_` itself;
+        // 2, hash and number in an export.
+        DepthMapFormat::Gipuma => match folder_name(path).splitn(4, '_').collect::<Vec<_>>()[..] {
+            [_, _, _, stem] => by_stem(scene, stem),
+            [.., number] => numbers.view(Some(number))?,
+            [] => None,
+        },
         DepthMapFormat::Mve => {
             let name = mve_name(path)?;
             name.and_then(|name| scene.find(&name).or_else(|| by_stem(scene, &name)))
         }
         DepthMapFormat::MicMac => {
-            let folder = path
-                .parent()
-                .and_then(Path::file_name)
-                .unwrap_or_default()
-                .to_string_lossy();
-            let view = folder
+            let view = folder_name(path)
                 .strip_prefix(MICMAC_FOLDER)
                 .and_then(|stem| by_stem(scene, stem));
             view.map(|view| require_matched(path).map(|()| view))
