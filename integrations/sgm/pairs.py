@@ -174,7 +174,8 @@ def write_npz(file, arrays):
 def write_whole(path, write):
     """Writes a file under a temporary name, then renames it: it is there whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    digest = hashlib.sha256(os.fsencode(path.name)).hexdigest()  # the name itself may be as long as a name can be
+    temporary = path.with_name(f".{digest[:16]}.{os.getpid()}.part")
     temporary.unlink(missing_ok=True)  # what a killed run left, or a stranger's link, which would be followed
     try:
         with open(temporary, "xb") as file:

@@ -19,7 +19,7 @@ import fuse
 import rectify
 import sgm
 from merge import merge
-from pairs import Pairs
+from pairs import Pairs, write_whole
 from workspace import InputError, View, Workspace
 
 FIXTURE = Path(__file__).parents[2] / "fixtures" / "valley"
@@ -591,3 +591,10 @@ def test_sums_over_cells_do_not_depend_on_how_the_points_come(monkeypatch):
     for point in points:
         by_cell.setdefault(tuple(np.floor(point / 0.5)), []).append(point)
     assert sorted(map(tuple, np.round([np.mean(cell, axis=0) for cell in by_cell.values()], 9))) == sorted(zip(*(np.round(one[axis], 9) for axis in "xyz"), strict=True))
+
+
+@pytest.mark.parametrize("name", ["x" * 246 + ".png", "ü" * 123 + ".png"])
+def test_a_name_that_just_fits_with_its_end_is_written(tmp_path, name):
+    path = tmp_path / "rows" / (name + ".json")
+    write_whole(path, lambda file: file.write(b"[]"))
+    assert path.read_bytes() == b"[]" and [*path.parent.iterdir()] == [path]

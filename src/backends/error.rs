@@ -106,3 +106,23 @@ impl Hint for BackendError {
         }
     }
 }
+
+/// Most bytes of the name of a file or folder.
+const LONGEST: usize = 255;
+
+/// Refuses an image whose results, named like it with `end` behind, no folder takes.
+pub(super) fn check_length(
+    backend: &'static str,
+    name: &str,
+    end: &str,
+) -> Result<(), BackendError> {
+    let longest = LONGEST - end.len();
+    let file = name.rsplit('/').next().unwrap_or(name);
+    if file.len() <= longest {
+        return Ok(());
+    }
+    let why = format!(
+        "its results would be named like it with {end} behind, and that is longer than a file name may be: {longest} bytes are the most"
+    );
+    Err(BackendError::name(backend, name, why))
+}

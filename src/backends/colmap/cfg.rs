@@ -7,7 +7,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::backends::BackendError;
+use crate::backends::{BackendError, error::check_length};
+
+/// Longest end that is put behind the name of an image.
+const LONGEST_END: &str = ".photometric.bin";
 
 /// One problem of patch match: the reference image and its sources, never empty.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -47,7 +50,7 @@ pub fn check_name(backend: &'static str, name: &str) -> Result<(), BackendError>
     } else if name == "__all__" || name == "__auto__" {
         "it is a keyword of patch-match.cfg"
     } else {
-        return Ok(());
+        return check_length(backend, name, LONGEST_END);
     };
     Err(BackendError::name(backend, name, why))
 }

@@ -10,6 +10,7 @@ use nalgebra::Vector3;
 use super::{
     Backend, BackendError, Call, Capabilities, ExaminedProject, Export, ExportOptions,
     ExportRecord, Honours, LastRun, PlanningNumbers, Product, Selection, TaskRunner, Trap,
+    error::check_length,
     runner::{finishes_itself, is_not_empty, words},
     semi_global::{self, CONFIDENCE, PHOTOMETRIC},
     workspace::{Workspace, add_workspace},
@@ -103,10 +104,16 @@ pub static BACKEND: Backend = Backend {
 };
 
 fn traps(examined: &ExaminedProject) -> Vec<Trap> {
-    let bad = examined.bad_names("sgm-name", |name| {
-        semi_global::checked_name(BACKEND.name, name).map(|_| ())
-    });
+    let bad = examined.bad_names("sgm-name", check_name);
     bad.into_iter().collect()
+}
+
+/// Longest end that is put behind the name of an image: `rows/NAME.json`.
+const LONGEST_END: &str = ".json";
+
+fn check_name(name: &str) -> Result<(), BackendError> {
+    check_length(BACKEND.name, name, LONGEST_END)?;
+    semi_global::checked_name(BACKEND.name, name).map(|_| ())
 }
 
 fn tasks(selection: &Selection, _: &Export) -> Option<TaskRunner> {
@@ -160,6 +167,9 @@ fn commands(call: &Call) -> Result<Vec<Vec<OsString>>, String> {
 
 fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
     let images = selection.undistorted_images(BACKEND.name)?;
+    for view in selection.views() {
+        check_name(selection.scene.name(view))?;
+    }
     let mut record = ExportRecord::new(&BACKEND, selection, |v| selection.scene.name(v).into());
     record.made_for = "integrations/sgm".into();
     record.way = "COLMAP workspace, pair files".into();

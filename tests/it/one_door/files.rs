@@ -151,6 +151,30 @@ fn two_files_that_fit_a_name_are_both_named() {
     }
 }
 
+/// An image name of so many bytes.
+fn of_length(length: usize, n: usize) -> String {
+    format!("{n}{}.png", "x".repeat(length - 5))
+}
+
+#[test]
+fn a_name_whose_results_no_folder_takes_is_refused_and_a_shorter_one_is_not() {
+    for (backend, longest) in [("sgm", 250), ("colmap", 239)] {
+        for length in [longest, longest + 1] {
+            let folder = Folder::new();
+            let number = |view: &str| view[5..6].parse::<usize>().unwrap();
+            folder
+                .colmap("sparse/0", &renamed(|n| of_length(length, n)))
+                .pictures(&scene(), |view| {
+                    format!("images/{}", of_length(length, number(view)))
+                });
+            let (code, _, stderr) = folder.plan(&["--backend", backend]);
+            assert_eq!(code, i32::from(length > longest), "{stderr}");
+            let is_refused = stderr.contains(&format!("{longest} bytes are the most"));
+            assert_eq!(is_refused, length > longest, "{stderr}");
+        }
+    }
+}
+
 #[test]
 fn two_images_of_one_file_are_an_error_of_the_model() {
     let by_whole_path = |folder: &Folder| folder.at("images/view_0.png").display().to_string();
