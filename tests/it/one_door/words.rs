@@ -327,6 +327,27 @@ fn json_of_another_kind_is_named_for_what_it_is() {
 }
 
 #[test]
+fn json_that_is_no_object_says_what_was_expected() {
+    let folder = Folder::new();
+    for (json, what) in [
+        ("[1]", "a list, where an object with a list of \"frames\""),
+        ("[]", "a list, where"),
+        ("3", "a number, where"),
+        (
+            r#"{"frames":[["a.jpg",[]]]}"#,
+            "\"transform_matrix\" is expected",
+        ),
+    ] {
+        folder.write("transforms.json", json);
+        let (code, _, stderr) = folder.plan(&[]);
+        assert_eq!(code, 1);
+        assert!(stderr.contains(what), "{json}: {stderr}");
+    }
+    folder.write("transforms.json", "[1");
+    assert!(!folder.plan(&[]).2.contains("where an object"));
+}
+
+#[test]
 fn poses_without_a_file_of_points_are_completed_by_a_cloud() {
     let folder = Folder::new();
     folder.colmap("sparse/0", &ColmapModel::from_scene(&scene()));

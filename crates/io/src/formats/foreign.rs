@@ -385,6 +385,26 @@ pub(super) fn json<'a, T: serde::Deserialize<'a>>(bytes: &'a [u8]) -> Result<T, 
     })
 }
 
+/// Reads an object, with `expected` as its description: of a list, too, the fields of a structure
+/// would be read, one after the other.
+pub(super) fn json_object<'a, T: serde::Deserialize<'a>>(
+    bytes: &'a [u8],
+    expected: &str,
+) -> Result<T, Fault> {
+    let start = bytes.iter().find(|byte| !byte.is_ascii_whitespace());
+    let found = match start {
+        Some(b'[') => "a list",
+        Some(b'"') => "a text",
+        Some(b'-' | b'0'..=b'9') => "a number",
+        Some(b't' | b'f' | b'n') => "a word",
+        _ => return json(bytes),
+    };
+    // What is no JSON at all has a fault of its own.
+    json::<serde::de::IgnoredAny>(bytes)?;
+    let what = format!("{found}, where {expected} is expected");
+    Err(Problem::Json(what).at(Place::File))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

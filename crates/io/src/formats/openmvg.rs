@@ -12,7 +12,7 @@ use viewrank_core::model::camera::{Camera, CameraModel};
 use super::{
     Fault, MOST_IMAGES, Place, Problem,
     colmap::StoredPose,
-    foreign::{ForeignModel, brown, camera, fault_in, json, pose_with_centre, shift},
+    foreign::{ForeignModel, brown, camera, fault_in, json_object, pose_with_centre, shift},
 };
 use crate::bounded;
 
@@ -110,7 +110,7 @@ struct Observation {
 }
 
 pub fn read(bytes: &[u8]) -> Result<ForeignModel, Fault> {
-    let data: SfmData = json(bytes)?;
+    let data: SfmData = json_object(bytes, "an object with \"views\" and \"extrinsics\"")?;
     let mut foreign = ForeignModel::default();
     foreign.model.cameras = cameras(&data.intrinsics)?;
     let images = add_images(&mut foreign, &data)?;

@@ -20,7 +20,9 @@ use viewrank_core::model::camera::{Camera, CameraModel};
 use super::{
     Fault, MOST_IMAGES, Place, Problem,
     colmap::StoredPose,
-    foreign::{ForeignModel, SizeLookup, brown, camera, fault_in, json, pose_with_centre},
+    foreign::{
+        ForeignModel, SizeLookup, brown, camera, fault_in, json, json_object, pose_with_centre,
+    },
 };
 use crate::bounded;
 
@@ -101,7 +103,8 @@ pub fn read(
     size_of: SizeLookup,
     spelled: &dyn Fn(&str) -> String,
 ) -> Result<(ForeignModel, Option<String>), Fault> {
-    let (data, of_all): (Transforms, Lens) = (json(bytes)?, json(bytes)?);
+    let data: Transforms = json_object(bytes, "an object with a list of \"frames\"")?;
+    let of_all: Lens = json(bytes)?;
     let splits: Splits = json(bytes).unwrap_or_default();
     let tests = splits.tests();
     let mut cameras = Cameras::default();
@@ -155,7 +158,8 @@ impl Frame {
             };
             fault.in_record(|| format!("frame {n}"))
         };
-        let frame = json(text).map_err(without_line)?;
+        let expected = "an object with \"file_path\" and \"transform_matrix\"";
+        let frame = json_object(text, expected).map_err(without_line)?;
         Ok((frame, json(text).map_err(without_line)?))
     }
 

@@ -21,7 +21,7 @@ use self::{
 };
 use super::{
     Fault, MOST_IMAGES, Place, Problem,
-    foreign::{ForeignModel, fault_in, json, pose_with_centre, shift},
+    foreign::{ForeignModel, fault_in, json_object, pose_with_centre, shift},
 };
 
 #[derive(Deserialize)]
@@ -112,7 +112,7 @@ impl Motion {
 }
 
 pub fn read(bytes: &[u8]) -> Result<ForeignModel, Fault> {
-    let data: SfmData = json(bytes)?;
+    let data: SfmData = json_object(bytes, "an object with \"views\" and \"poses\"")?;
     let version: Vec<u32> = data.version.0.iter().map(|n| n.0).collect();
     let mut foreign = ForeignModel::default();
     let cameras = data.intrinsics.0.iter().map(|one| one.camera(&version));
