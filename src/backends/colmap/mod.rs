@@ -637,18 +637,17 @@ fn size_cap(selection: &Selection) -> u32 {
 /// Adds folders, which patch match does not create: one for each sub-folder of a name, under each
 /// kind of map.
 fn map_folders(problems: &[Problem]) -> Vec<String> {
-    let mut subfolders: Vec<&str> = problems
+    let mut subfolders: Vec<String> = problems
         .iter()
         .map(|p| {
-            p.reference
-                .rsplit_once('/')
-                .map_or("", |(folder, _)| folder)
+            let folder = p.reference.rsplit_once('/');
+            folder.map_or_else(String::new, |(folder, _)| as_path(folder))
         })
         .collect();
     subfolders.sort_unstable();
     subfolders.dedup();
     let kinds = ["depth_maps", "normal_maps", "consistency_graphs"];
-    let folder = |sub: &&str| {
+    let folder = |sub: &String| {
         kinds.map(|kind| {
             format!("stereo/{kind}/{sub}")
                 .trim_end_matches('/')
@@ -656,4 +655,14 @@ fn map_folders(problems: &[Problem]) -> Vec<String> {
         })
     };
     subfolders.iter().flat_map(folder).collect()
+}
+
+/// Returns a name of a workspace's model, where COLMAP goes by it, as the path that it leads to: without
+/// `.` and empty parts.
+fn as_path(name: &str) -> String {
+    let parts: Vec<&str> = name
+        .split('/')
+        .filter(|part| !matches!(*part, "" | "."))
+        .collect();
+    parts.join("/")
 }

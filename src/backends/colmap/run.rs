@@ -9,7 +9,7 @@ use std::{ffi::OsString, path::Path, slice};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    FUSED, MAIN_LIST, PHOTOMETRIC,
+    FUSED, MAIN_LIST, PHOTOMETRIC, as_path,
     cfg::{self, Problem},
     fusion_options, map_folders,
     marks::map_name,
@@ -65,7 +65,7 @@ impl Row {
 
     fn path(&self, folder: &str) -> String {
         let name = map_name(&self.problem.reference, "photometric");
-        format!("stereo/{folder}/{name}")
+        format!("stereo/{folder}/{}", as_path(&name))
     }
 }
 
@@ -104,7 +104,7 @@ pub fn commands(call: &Call) -> Result<Vec<Vec<OsString>>, String> {
 }
 
 fn add_image(name: &str, call: &Call, files: &mut FileSet) {
-    let path = format!("images/{name}");
+    let path = format!("images/{}", as_path(name));
     files.add(&*path, call.link(&path));
 }
 

@@ -54,6 +54,28 @@ fn number(name: &str) -> usize {
 }
 
 #[test]
+fn a_path_from_the_current_folder_of_a_drive_is_found_without_the_drive() {
+    let folder = Folder::new();
+    folder
+        .colmap(
+            "sparse/0",
+            &renamed(|n| match n {
+                0 => "C:view_0.png".into(),
+                n => format!("d:east\\view_{n}.png"),
+            }),
+        )
+        .pictures(&scene(), |name| match name {
+            "view_0.png" => "images/view_0.png".into(),
+            name => format!("images/east/{name}"),
+        });
+    assert_found(&folder, |n| match n {
+        0 => "images/view_0.png".into(),
+        n => format!("images/east/view_{n}.png"),
+    });
+    assert!(names(&folder.read()).contains(&"view_0.png"));
+}
+
+#[test]
 fn separators_of_windows_are_separators_where_files_say_so() {
     let folder = Folder::new();
     folder

@@ -306,3 +306,71 @@ fn images_that_opensfm_has_undistorted_are_enough_for_a_run() {
     let planned = folder.at("opensfm/undistorted/viewrank/manifest.json");
     assert!(planned.is_file(), "{stderr}");
 }
+
+#[test]
+fn a_workspace_that_is_passed_over_for_another_is_named() {
+    let folder = Folder::new();
+    folder
+        .colmap("sparse/0", &distorted())
+        .pictures(&scene(), |name| format!("images/{name}"));
+    let undistorted = ColmapModel::from_scene(&scene());
+    workspace(&folder, "dense", &undistorted);
+    workspace(&folder, "dense/1", &undistorted);
+    let warnings = folder.read().warnings;
+    let said = warnings
+        .iter()
+        .find(|said| said.text.contains("workspaces of undistorted images"));
+    let said = &said.unwrap_or_else(|| panic!("{warnings:?}")).text;
+    let place = |name: &str| folder.at(name).display().to_string();
+    let [used, other] = ["dense", "dense/1"].map(place);
+    assert!(
+        said.contains(&format!("{used} is used, not {other}")),
+        "{said}"
+    );
+    // Both are there, and the one of the model's name comes first.
+    workspace(&folder, "dense/0", &undistorted);
+    let project = folder.open();
+    assert_eq!(project.dense_workspace, Some(folder.at("dense/0")));
+}
+
+/// The model with names as some programs write them.
+fn with_names(mut model: ColmapModel<'static>) -> ColmapModel<'static> {
+    for image in &mut model.images {
+        image.name = format!("./{}", image.name).into();
+    }
+    model
+}
+
+#[test]
+fn a_workspace_of_plain_names_is_that_of_a_model_with_others() {
+    let folder = Folder::new();
+    folder
+        .colmap("sparse/0", &with_names(distorted()))
+        .pictures(&scene(), |name| format!("images/{name}"));
+    let root = folder.path().to_str().unwrap();
+    let undistorted = viewrank(&["undistort", root]);
+    assert!(undistorted.status.success(), "{undistorted:?}");
+    for backend in ["openmvs", "colmap"] {
+        let (code, _, stderr) = folder.plan(&["--backend", backend]);
+        assert_eq!(code, 0, "{stderr}");
+        assert!(folder.at("dense/viewrank/manifest.json").is_file());
+    }
+    // The project's own scene has the names that lists for the workspace need.
+    assert!(names(&folder.read()).contains(&"view_0.png"));
+
+    // As COLMAP undistorts it, with the names as they were.
+    let folder = Folder::new();
+    folder
+        .colmap("sparse/0", &with_names(distorted()))
+        .pictures(&scene(), |name| format!("images/{name}"));
+    workspace(
+        &folder,
+        "dense",
+        &with_names(ColmapModel::from_scene(&scene())),
+    );
+    let (code, _, stderr) = folder.plan(&["--backend", "colmap"]);
+    assert_eq!(code, 0, "{stderr}");
+    assert!(names(&folder.read()).contains(&"./view_0.png"));
+    let list = fs::read_to_string(folder.at("dense/stereo/patch-match.cfg")).unwrap();
+    assert!(list.contains("./view_0.png"), "{list}");
+}

@@ -14,7 +14,9 @@ use super::{
     files::{self, REQUIRED, colmap_file, read},
     folder, foreign,
     image_files::slashes,
-    images, originals, stamps,
+    images,
+    names::plain_or_own,
+    originals, stamps,
 };
 use crate::{
     formats::{
@@ -486,16 +488,23 @@ pub(super) fn dense_folders(root: &Path, model: &ModelLocation) -> Vec<PathBuf> 
     folders
 }
 
-/// Poses of the registered images, by name.
+/// Poses of the registered images, by their plain names: programs differ in how they spell one path.
 pub(super) type Poses = BTreeMap<String, StoredPose>;
 
 /// Poses of the registered images; `None` if the model cannot be read.
 pub(super) fn poses(root: &Path, model: &ModelLocation) -> Option<Poses> {
+    let plain = |(name, pose)| (plain_or_own(name), pose);
     if model.format.is_colmap() {
-        files::poses(model)
-    } else {
-        let images = foreign::read(root, model).ok()?.0.model.images;
-        let pose = |image: ColmapImage| (image.name.into_owned(), image.cam_from_world);
-        Some(images.into_iter().map(pose).collect())
+        return Some(files::poses(model)?.into_iter().map(plain).collect());
     }
+    let images = foreign::read(root, model).ok()?.0.model.images;
+    let pose = |image: ColmapImage| plain((image.name.into_owned(), image.cam_from_world));
+    Some(images.into_iter().map(pose).collect())
+}
+
+/// Names of the images in the model of a workspace, as they are there.
+pub(super) fn names_in_workspace(workspace: &Path) -> HashSet<String> {
+    let model = colmap_model(&workspace.join("sparse")).ok().flatten();
+    let poses = model.and_then(|model| files::poses(&model));
+    poses.unwrap_or_default().into_keys().collect()
 }

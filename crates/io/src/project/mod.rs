@@ -358,10 +358,7 @@ impl Project {
         scene
             .warnings
             .extend(others.map(|text| ModelWarning::new(WarningKind::OtherModels, text)));
-        let workspace = self.other_workspace_warning();
-        scene
-            .warnings
-            .extend(workspace.map(|text| ModelWarning::new(WarningKind::OtherWorkspace, text)));
+        scene.warnings.extend(self.other_workspace_warning());
         scene
             .warnings
             .extend(self.originals.iter().map(|originals| {
@@ -409,12 +406,26 @@ impl Project {
                 names,
             });
         }
-        let is_workspace = self.dense_workspace.is_some();
+        let is_workspace = self.keeps_names(model);
         match &self.images {
             Some(images) => images.name_images(model, is_workspace),
             None => drop(names::take_names_of_files(model, None, is_workspace)),
         }
         Ok(())
+    }
+
+    /// Returns whether the names of the images are those of the dense workspace, where COLMAP goes by
+    /// the names of its model: lists for it name them.
+    fn keeps_names(&self, model: &ColmapModel) -> bool {
+        let Some(workspace) = &self.dense_workspace else {
+            return false;
+        };
+        let mut names = model.images.iter().map(|image| &*image.name);
+        if *workspace == self.root || names.clone().all(names::is_plain) {
+            return true;
+        }
+        let there = discover::names_in_workspace(workspace);
+        names.all(|name| there.contains(name))
     }
 
     /// Checks the image files of the scene; finds no faults without an image folder.
@@ -541,18 +552,30 @@ impl Project {
         self.other_models.iter().filter(is_copy).collect()
     }
 
-    /// Warns of a dense workspace that was made from another model, unless nothing is written into
-    /// the project anyway.
-    fn other_workspace_warning(&self) -> Option<String> {
-        let others = discover::dense_folders(&self.root, &self.model);
-        let other = others
-            .first()
-            .filter(|_| self.dense_workspace.is_none() && !self.is_elsewhere())?;
-        let why = discover::why_other(&self.root, &self.model, other);
-        Some(format!(
-            "{} {why}; viewrank writes nothing into it",
-            other.display()
-        ))
+    /// Names a dense workspace that is not used: one that was made from another model, or the others
+    /// beside the one that is. Not where nothing is written into the project anyway.
+    fn other_workspace_warning(&self) -> Option<ModelWarning> {
+        if self.is_elsewhere() || self.dense_workspace.as_ref() == Some(&self.root) {
+            return None;
+        }
+        let there = discover::dense_folders(&self.root, &self.model);
+        let Some(used) = &self.dense_workspace else {
+            let other = there.first()?;
+            let why = discover::why_other(&self.root, &self.model, other);
+            let text = format!("{} {why}; viewrank writes nothing into it", other.display());
+            return Some(ModelWarning::new(WarningKind::OtherWorkspace, text));
+        };
+        let others = there.iter().filter(|other| *other != used).take(NAMED);
+        let others: Vec<String> = others.map(|other| other.display().to_string()).collect();
+        (!others.is_empty()).then(|| {
+            let text = format!(
+                "of the workspaces of undistorted images {} is used, not {}",
+                used.display(),
+                others.join(" or ")
+            );
+            let cure = "no action needed; to use another one, name its folder as the project";
+            ModelWarning::new(WarningKind::Format, text).with_cure(cure)
+        })
     }
 
     /// Names the model that is used, and the others.

@@ -72,7 +72,7 @@ impl Names {
     /// Path relative to `folder` of the file that is meant by a name: the file of this very name,
     /// else the only one that fits.
     pub fn locate(&self, folder: &Path, name: &str) -> Option<String> {
-        let parts = name_parts(name)?;
+        let parts = name_parts(below_drive(name))?;
         if folder.join(name).is_file() {
             return Some(name.to_owned());
         }
@@ -228,21 +228,38 @@ pub(super) fn with_one_file(model: &ColmapModel, images: Option<&Path>) -> Optio
 fn name_here(name: &str, images: &Path, search: &ImageSearch) -> Option<String> {
     let has_file = |name: &str| images.join(name).is_file();
     let is_inside = |moved: &str| name_parts(moved).is_some_and(|parts| !parts.contains(&".."));
-    let separated = [name.replace('\\', "/")].into_iter();
+    let separated = [name, below_drive(name)].map(|name| name.replace('\\', "/"));
     let ends = || last_parts(name).into_iter().skip(1);
-    let mut moved = separated.chain(ends());
+    let mut moved = separated.into_iter().chain(ends());
     moved
         .find(|moved| moved != name && is_inside(moved) && has_file(moved))
         .or_else(|| ends().find(|end| is_inside(end) && search.finds(end)))
 }
 
+/// Returns whether a name is a plain path below a folder already.
+pub(super) fn is_plain(name: &str) -> bool {
+    plain(name).is_none_or(|plain| plain == name)
+}
+
+/// The name that an image gets, as [`take_names_of_files`] gives it where the file has no other.
+pub(super) fn plain_or_own(name: String) -> String {
+    plain(&name).unwrap_or(name)
+}
+
 /// A name as a path below a folder: with slashes, without a drive and the parts that lead to the
 /// same folder or above; `None` if it leads further out than to the parent of its folder.
 fn plain(name: &str) -> Option<String> {
-    let below_drive = name.get(2..).filter(|_| is_of_windows(name));
-    let parts = name_parts(below_drive.unwrap_or(name))?;
+    let parts = name_parts(below_drive(name))?;
     let parts: Vec<&str> = parts.into_iter().filter(|part| *part != "..").collect();
     (!parts.is_empty()).then(|| parts.join("/"))
+}
+
+/// A name without its drive, which may stand before a path relative to the drive's current folder,
+/// too (`C:a.jpg`), or without the slashes before a server.
+fn below_drive(name: &str) -> &str {
+    let has_drive = matches!(name.as_bytes(), [drive, b':', ..] if drive.is_ascii_alphabetic());
+    let below = name.get(2..).filter(|_| has_drive || is_of_windows(name));
+    below.unwrap_or(name)
 }
 
 impl Listing {
