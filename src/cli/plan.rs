@@ -693,6 +693,10 @@ fn write(
     progress: &ProgressDisplay,
 ) -> Result<(), Failure> {
     progress.progress(Stage::Write, 0, 1);
+    // Of an earlier region.
+    if project.home.join(MISSED).is_dir() {
+        FileSet::new(&project.home, MISSED_SET).write(&project.disk())?;
+    }
     // The plan is written last: if something else fails, it stays unchanged.
     if let Some(folder) = &arguments.dump_tables {
         let mut set = FileSet::new(folder, "tables");

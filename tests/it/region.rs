@@ -485,8 +485,8 @@ fn a_polygon_beside_the_surface_is_counted_and_its_images_are_planned() {
         assert_eq!(said.contains("viewrank/missed-region"), is_near, "{said}");
         assert_eq!(waypoints.is_file(), is_near);
     }
-    let planned: Value = serde_json::from_slice(&fs::read(&waypoints).unwrap()).unwrap();
-    let images = planned["features"].as_array().unwrap();
+    let flight: Value = serde_json::from_slice(&fs::read(&waypoints).unwrap()).unwrap();
+    let images = flight["features"].as_array().unwrap();
     let places = images
         .iter()
         .map(|image| &image["geometry"]["coordinates"][0]);
@@ -495,4 +495,6 @@ fn a_polygon_beside_the_surface_is_counted_and_its_images_are_planned() {
             .into_iter()
             .any(|x| (40.0..49.0).contains(&x.as_f64().unwrap()))
     );
+    planned(folder.path(), &[]);
+    assert!(!waypoints.exists(), "they are of an earlier region");
 }
