@@ -15,10 +15,11 @@ refuse_no_files -H images
 # The lists name files below the folders of maps: no path in them may lead out of these. A mark is a hash.
 marks=stereo/viewrank/marks.tsv
 for list in "$marks" stereo/patch-match.cfg stereo/viewrank/*.cfg; do
-    [ ! -f "$list" ] || { refuse_long "$list" && LC_ALL=C awk -v marks="$marks" '
+    # Tools read on at a NUL in different ways.
+    [ ! -f "$list" ] || { refuse_long "$list" && [ "$(LC_ALL=C tr -d '\t\n\040-\176\200-\377' < "$list" | head -c 1 | wc -c)" -eq 0 ] && LC_ALL=C awk -v marks="$marks" '
         { path = $0 }
         FILENAME == marks { wrong = !sub(/^[0-9a-f]+\t[0-9a-f]+\t/, "", path) || path == "" }
-        wrong || path ~ /^\/|(^|\/|, )\.\.(\/|$)/ { exit 1 }' "$list" 2>/dev/null; } || refuse "$list"
+        wrong || path ~ /(^|,)[ \t]*(\/|\.\.(\/|$))|\/\.\.(\/|$)/ { exit 1 }' "$list" 2>/dev/null; } || refuse "$list"
 done
 # Another run.sh would remove maps that this one is writing. What COLMAP itself holds open keeps the lock as long as it computes.
 alone stereo/viewrank
@@ -29,7 +30,9 @@ whole() {
     width=${head%%&*} rest=${head#*&}
     height=${rest%%&*} rest=${rest#*&}
     channels=${rest%%&*}
-    case $width$height$channels in '' | *[!0-9]*) return 1 ;; esac
+    for number in "$width" "$height" "$channels"; do
+        case $number in '' | 0* | *[!0-9]* | ??????????*) return 1 ;; esac
+    done
     [ "$(wc -c < "$1")" -eq $((${#width} + ${#height} + ${#channels} + 3 + 4 * width * height * channels)) ]
 }
 # COLMAP keeps what is there, also what a killed run has cut off. A map counts as made from its list when it is whole and has its mark.

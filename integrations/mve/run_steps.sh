@@ -24,5 +24,5 @@ join() {
     cloud=$1
     shift
     tried rm -f unfinished.ply && scene2pset "$@" . unfinished.ply && head -n 20 unfinished.ply | LC_ALL=C grep -aq '^element vertex [1-9]' &&
-        tried mv -f unfinished.ply "$cloud" || fail "$cloud"
+        [ ! -d "$cloud" ] && tried mv -f unfinished.ply "$cloud" || fail "$cloud"
 }

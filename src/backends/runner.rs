@@ -1,6 +1,7 @@
 //! How a program is started for the clusters of an export.
 
 use std::{
+    collections::BTreeMap,
     ffi::{OsStr, OsString},
     fmt::Display,
     path::{Path, PathBuf},
@@ -13,7 +14,6 @@ use crate::{
     base::{pixels::PixelBound, platform},
     io::{
         depthmaps::{self, DepthMapError, DepthMapFormat},
-        input::{self, FileKind},
         output::{self, Contents, Disk},
     },
 };
@@ -33,6 +33,8 @@ pub struct Call<'a> {
     /// Folder of the export.
     pub workplace: &'a Path,
     pub project: &'a PathBuf,
+    /// Contents of [`TaskRunner::lists`], by name.
+    pub lists: &'a BTreeMap<String, Vec<u8>>,
     /// Where the programs may work: a name that no other process has, below the export. It is
     /// removed at the end, if it is there.
     pub work: &'a Path,
@@ -64,12 +66,16 @@ impl<'a> Call<'a> {
         Disk::REAL.within(slice::from_ref(self.project))
     }
 
-    /// Reads a list of the export that viewrank wrote as JSON.
+    /// A list of the export, as viewrank writes it: somebody may change that in the project at any
+    /// time.
+    pub fn list(&self, name: &str) -> Result<&'a [u8], String> {
+        let list = self.lists.get(name).map(Vec::as_slice);
+        list.ok_or_else(|| format!("{name}: not in this export: export again"))
+    }
+
+    /// Reads a [list](Self::list) in JSON.
     pub fn read<T: DeserializeOwned>(&self, name: &str) -> Result<T, String> {
-        let path = self.workplace.join(name);
-        let again = |error: &dyn Display| format!("{}: {error}: export again", path.display());
-        let bytes = input::read(&path, FileKind::Plan).map_err(|error| again(&error))?;
-        serde_json::from_slice(&bytes).map_err(|error| again(&error))
+        serde_json::from_slice(self.list(name)?).map_err(|error| format!("{name}: {error}"))
     }
 
     /// The row of a task in a list of the export. `task`: rank and mark of a row; another plan may
@@ -122,6 +128,8 @@ pub struct TaskRunner {
     /// Checks what the commands have made, and puts it in its place. An error is a reason in words;
     /// what was in that place is still there then.
     pub finish: fn(&Call) -> Result<(), String>,
+    /// Files of the export that the commands and the check follow.
+    pub lists: &'static [&'static str],
     /// Folder of viewrank's own files in the export, with a `/` behind it unless it is the export
     /// itself: tasks work below it, and the marks of their maps are there.
     pub own: &'static str,

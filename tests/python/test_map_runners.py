@@ -25,8 +25,8 @@ class Site(test_colmap_runner.Site):
             path.write_text(text.replace("PYTHON", INTERPRETER))
             path.chmod(0o755)
 
-    def run(self, *words, expect=0, **made):
-        environment = {**os.environ, "PATH": "/usr/bin:/bin", "CALLS": str(self.home / "calls"), "MADE": json.dumps(made)}
+    def run(self, *words, expect=0, during="true", **made):
+        environment = {**os.environ, "PATH": "/usr/bin:/bin", "DURING": during, "CALLS": str(self.home / "calls"), "MADE": json.dumps(made)}
         command = [self.viewrank.program, "run", self.project, "--backend", self.backend, "--program", self.program, *words]
         done = subprocess.run([*map(str, command)], env=environment, capture_output=True, text=True)
         assert done.returncode == expect, done.stdout + done.stderr
@@ -230,6 +230,21 @@ def test_script_and_viewrank_do_not_compute_at_the_same_time(site):
         os.close(folder)
         assert "done" in waiting.stderr.read()
     assert waiting.returncode == 0 and len(site.calls()) == 1
+
+
+def test_a_list_that_is_changed_meanwhile_is_not_followed(site, tmp_path):
+    place = site.map(1).relative_to(site.export)
+    (tmp_path / "outside").mkdir()
+    (tmp_path / "outside" / place.name).write_text("precious")
+    run = site.export / "run.json"
+    changed = json.loads(run.read_text())
+    outside = os.path.relpath(tmp_path / "outside", site.export)
+    for row in changed["maps"]:
+        row["view"] = outside if site.backend == "mve" else f"../{outside}/{row['view']}"
+    (tmp_path / "run.json").write_text(json.dumps(changed))
+    site.rank(1, during=f"cp '{tmp_path}/run.json' '{run}'")
+    assert site.map(1).exists() and [path.name for path in (tmp_path / "outside").iterdir()] == [place.name]
+    assert (tmp_path / "outside" / place.name).read_text() == "precious"
 
 
 def test_what_a_stranger_left_where_a_map_is_made_is_not_followed(site, tmp_path):

@@ -286,6 +286,7 @@ if "map" not in otherwise or otherwise["map"]:
     (view / f"depth-L{option('-s')}.mvei").write_bytes(made[: otherwise.get("map")])
 if option("-s") != "0":
     (view / f"undist-L{option('-s')}.png").write_bytes(b"PNG")
+os.system(os.environ.get("DURING", "true"))
 """
 SCENE2PSET = SCENE.replace("SCENE", "-2") + """
 joined = []
@@ -418,6 +419,7 @@ if "--rangeStart" in sys.argv:
     if "map" not in otherwise or otherwise["map"]:
         Path(value("-o"), f"{view}_depthMap.exr").write_bytes(made[: otherwise.get("map")])
     Path(value("-o"), f"{view}_simMap.exr").write_bytes(made)
+    os.system(os.environ.get("DURING", "true"))
 elif "-o" in sys.argv:  # the filtering: Fuser.cpp keeps the nmodMap that it finds
     for view in views:
         assert Path(value("--depthMapsFolder"), f"{view}_depthMap.exr").exists() and Path(value("--depthMapsFolder"), f"{view}_simMap.exr").exists()

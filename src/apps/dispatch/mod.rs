@@ -13,10 +13,13 @@ pub mod slurm;
 use std::{
     collections::{BTreeMap, BTreeSet},
     env,
-    fs::{File, TryLockError},
+    fs::{self, File, TryLockError},
     io,
     path::{Path, PathBuf},
+    sync::Arc,
 };
+
+use tempfile::TempDir;
 
 use crate::{
     backends::{
@@ -74,8 +77,8 @@ pub struct Dispatch {
     image_scale: f64,
     /// Scripts of the export, by name.
     scripts: BTreeMap<String, Vec<u8>>,
-    /// The backend's program, if the export includes it.
-    exported_program: Option<PathBuf>,
+    /// Lists of the export that its tasks follow, by name.
+    lists: BTreeMap<String, Vec<u8>>,
     runner: TaskRunner,
 }
 
@@ -84,6 +87,8 @@ pub struct Dispatch {
 pub struct Tools {
     pub program: PathBuf,
     pub python: PathBuf,
+    /// Folder of the program if it came with the export, removed at the end.
+    copied: Option<Arc<TempDir>>,
 }
 
 impl Tools {
@@ -93,10 +98,10 @@ impl Tools {
         let runner = &dispatch.runner;
         let variable = env::var_os(runner.variable).map(PathBuf::from);
         let wanted = named.map(Path::to_path_buf).or(variable);
-        if let (None, Some(own)) = (&wanted, &dispatch.exported_program) {
-            return Ok(Self {
-                program: own.clone(),
-                ..Self::unseen(runner)
+        if wanted.is_none() && dispatch.scripts.contains_key(runner.program) {
+            return Self::of_export(dispatch).map_err(|source| DispatchError::Start {
+                program: runner.program.into(),
+                source,
             });
         }
         let wanted = wanted.unwrap_or_else(|| runner.program.into());
@@ -112,6 +117,20 @@ impl Tools {
         })
     }
 
+    /// A copy of the program that the export has, where nobody else can write: somebody may change
+    /// that in the project at any time.
+    fn of_export(dispatch: &Dispatch) -> io::Result<Self> {
+        let folder = tempfile::tempdir()?;
+        for (name, script) in &dispatch.scripts {
+            fs::write(folder.path().join(name), script)?;
+        }
+        Ok(Self {
+            program: folder.path().join(dispatch.runner.program),
+            copied: Some(Arc::new(folder)),
+            ..Self::unseen(&dispatch.runner)
+        })
+    }
+
     /// Programs that exist only on the nodes.
     pub fn unseen(runner: &TaskRunner) -> Self {
         let python = backends::python();
@@ -124,6 +143,7 @@ impl Tools {
         Self {
             program: runner.program.into(),
             python,
+            copied: None,
         }
     }
 }
@@ -187,8 +207,11 @@ impl Dispatch {
             .collect();
         let folder = project.join("viewrank/dispatch").join(backend.name);
         let workplace = absolute(&export.files.root);
-        let brings_program = export.files.files.contains_key(runner.program);
-        let exported_program = brings_program.then(|| workplace.join(runner.program));
+        let list = |name: &&str| match export.files.files.get(*name) {
+            Some(Contents::Bytes(bytes)) => Some(((*name).into(), bytes.clone())),
+            _ => None,
+        };
+        let lists = runner.lists.iter().filter_map(list).collect();
         Ok(Self {
             project,
             backend: backend.name,
@@ -200,7 +223,7 @@ impl Dispatch {
             workplace,
             image_scale: export.record.image_scale,
             scripts: scripts(&export.files),
-            exported_program,
+            lists,
             runner,
         })
     }
@@ -235,7 +258,7 @@ impl Dispatch {
             format!("--threads {threads}"),
         ];
         // One that only the nodes have is looked for there.
-        if tools.program.is_absolute() && Some(&tools.program) != self.exported_program.as_ref() {
+        if tools.program.is_absolute() && tools.copied.is_none() {
             words.push(format!("--program {}", path(&tools.program)));
         }
         words.join(" ")

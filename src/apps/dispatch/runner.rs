@@ -195,6 +195,7 @@ impl Dispatch {
             is_marked,
             workplace: &self.workplace,
             project: &self.project,
+            lists: &self.lists,
             program: &runner.tools.program,
             python: &runner.tools.python,
             threads: runner.threads,

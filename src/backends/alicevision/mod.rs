@@ -65,6 +65,7 @@ fn tasks(selection: &Selection, export: &Export) -> TaskRunner {
         // EXR files are renamed when they are complete.
         is_whole: is_not_empty,
         finish: run::finish,
+        lists: &[RUN, run::KEYS],
         own: "",
         clouds: vec![root.join("dense.abc")],
         sizes_share_a_file: true,

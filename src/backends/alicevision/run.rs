@@ -16,7 +16,6 @@ use crate::{
     },
     io::{
         depthmaps::DepthMapFormat,
-        input::{self, FileKind},
         output::{Contents, FileSet},
     },
 };
@@ -134,11 +133,8 @@ fn lay_out_joining(rows: &[&Row], call: &Call, files: &mut FileSet) -> Result<()
         files.add(&*path, call.link(&path));
     }
     let views: BTreeSet<String> = rows.iter().map(|row| row.view.to_string()).collect();
-    let path = call.workplace.join(KEYS);
-    let scene = input::read(&path, FileKind::State).map_err(text)?;
-    let scene = sfm::with_views(&scene, |id| views.contains(id));
-    let scene = scene.map_err(|error| format!("{}: {error}: export again", path.display()))?;
-    files.add_text(KEYS, scene);
+    let scene = sfm::with_views(call.list(KEYS)?, |id| views.contains(id));
+    files.add_text(KEYS, scene.map_err(text)?);
     files.add("filtered", Contents::Folder);
     Ok(())
 }

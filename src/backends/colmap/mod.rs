@@ -123,6 +123,7 @@ fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
         commands: run::commands,
         is_whole: run::is_whole,
         finish: run::finish,
+        lists: &[run::RUN],
         own: OWN,
         clouds: vec![export.files.root.join(FUSED)],
         sizes_share_a_file: true,

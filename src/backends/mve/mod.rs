@@ -87,6 +87,7 @@ fn tasks(selection: &Selection, export: &Export) -> TaskRunner {
         commands: run::commands,
         is_whole: run::is_whole,
         finish: run::finish,
+        lists: &[RUN],
         own: "",
         clouds: clouds.map(|(_, cloud)| root.join(cloud)).collect(),
         sizes_share_a_file: false,

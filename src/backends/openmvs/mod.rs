@@ -131,6 +131,7 @@ fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
         commands: run::commands,
         is_whole: WholeMap::is_there,
         finish: run::finish,
+        lists: &[run::RUN],
         own: "",
         clouds: vec![export.files.root.join("fused.ply")],
         sizes_share_a_file: true,

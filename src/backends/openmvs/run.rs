@@ -54,6 +54,8 @@ const OF_THE_CLOUD: [&str; 2] = ["--postprocess-dmaps", "0"];
 /// `options.cfg`: OpenMVS would read one that somebody left in the folder of the map.
 pub const NO_OPTIONS: &str = "# Options of DensifyPointCloud come from its command line alone.\n";
 
+pub const RUN: &str = "run.json";
+
 /// Content of `run.json`.
 #[derive(Serialize, Deserialize)]
 pub struct Run {
@@ -203,7 +205,7 @@ fn command_on(call: &Call, scene: &Path, made: &str) -> Vec<OsString> {
 
 /// Makes the folder of a task, and returns the command that does it there.
 pub fn commands(call: &Call) -> Result<Vec<Vec<OsString>>, String> {
-    let run: Run = call.read("run.json")?;
+    let run: Run = call.read(RUN)?;
     output::make_new_folder(call.work, &call.disk()).map_err(text)?;
     let help = help_of(call)?;
     let (mut command, of_task, agreeing, resolution) = match call.product {
@@ -262,7 +264,7 @@ fn help_of(call: &Call) -> Result<String, String> {
 pub fn finish(call: &Call) -> Result<(), String> {
     match call.product {
         Product::Map(rank) => {
-            let run: Run = call.read("run.json")?;
+            let run: Run = call.read(RUN)?;
             let row = call.row_of(rank, &run.clusters, Row::task)?;
             let kind = check(row, &call.work.join(&row.map))?;
             refuse_other_kinds(&run, row, call, kind)?;

@@ -128,6 +128,7 @@ fn tasks(selection: &Selection, _: &Export) -> Option<TaskRunner> {
         commands,
         is_whole: is_not_empty,
         finish: finishes_itself,
+        lists: &[],
         own: "",
         clouds: vec![out.join("fused.ply")],
         sizes_share_a_file: true,

@@ -12,7 +12,7 @@ use viewrank_core::{
     model::{camera::Camera, scene::WarningKind},
 };
 
-use self::blocks::{Blocks, Cone};
+use self::blocks::{Blocks, Cone, Mantle, mantle};
 use super::{
     Place,
     colmap::{ColmapImage, ColmapModel, ColmapPoint, Point2d, TrackElement},
@@ -33,6 +33,9 @@ const SAMPLE_PROJECTIONS: usize = 1 << 24;
 /// Observations that may be made at a time, beyond the most.
 const AT_ONCE: usize = 1 << 22;
 
+/// Cameras up to which what their images may show is found, since that takes dozens of rays each.
+const MOST_MANTLES: usize = 1 << 16;
+
 /// Poses and cameras of the images of a model, by position; `None` if the model lacks one.
 struct Projection<'a> {
     views: Vec<Option<Cone<'a>>>,
@@ -40,10 +43,18 @@ struct Projection<'a> {
 
 impl<'a> Projection<'a> {
     fn new(model: &'a ColmapModel) -> Self {
-        let cameras: HashMap<u32, &Camera> = model.cameras.iter().map(|c| (c.id, c)).collect();
+        let has_mantles = model.cameras.len() <= MOST_MANTLES;
+        let with_mantle = |camera| (camera, has_mantles.then(|| mantle(camera)).flatten());
+        let cameras = model.cameras.par_iter().map(with_mantle);
+        let cameras: HashMap<u32, (&Camera, Mantle)> =
+            cameras.map(|camera| (camera.0.id, camera)).collect();
         let view = |image: &ColmapImage| {
-            let camera = cameras.get(&image.camera_id)?;
-            Some(Cone::new(image.cam_from_world.pose().ok()?, camera))
+            let &(camera, mantle) = cameras.get(&image.camera_id)?;
+            Some(Cone {
+                pose: image.cam_from_world.pose().ok()?,
+                camera,
+                mantle,
+            })
         };
         Self {
             views: model.images.par_iter().map(view).collect(),

@@ -19,22 +19,21 @@ const MARGIN: f64 = 0.02;
 pub struct Cone<'a> {
     pub pose: Pose,
     pub camera: &'a Camera,
-    /// Sine and cosine of the angle between axis and mantle; `None`: everywhere.
-    mantle: Option<(f64, f64)>,
+    pub mantle: Mantle,
 }
 
-impl<'a> Cone<'a> {
-    pub fn new(pose: Pose, camera: &'a Camera) -> Self {
-        let angle = largest_angle(camera).map(|angle| angle + MARGIN);
-        // A wider cone would not be convex.
-        let angle = angle.filter(|&angle| angle < FRAC_PI_2);
-        Self {
-            pose,
-            camera,
-            mantle: angle.map(f64::sin_cos),
-        }
-    }
+/// Sine and cosine of the angle between axis and mantle; `None`: everywhere.
+pub type Mantle = Option<(f64, f64)>;
 
+/// Returns the mantle of a camera's images.
+pub fn mantle(camera: &Camera) -> Mantle {
+    let angle = largest_angle(camera).map(|angle| angle + MARGIN);
+    // A wider cone would not be convex.
+    let angle = angle.filter(|&angle| angle < FRAC_PI_2);
+    angle.map(f64::sin_cos)
+}
+
+impl Cone<'_> {
     /// The pixel of a point in the image.
     pub fn pixel(&self, x: &Point3<f64>) -> Option<[f64; 2]> {
         let pixel = self.camera.project(&self.pose.camera_from_world(x))?;
@@ -190,7 +189,11 @@ mod tests {
                     rotation: Rotation3::new(axis.normalize() * turn),
                     translation: Vector3::new(0.0, turn.cos() * 4.0, turn % 5.0),
                 };
-                let view = Cone::new(pose, &camera);
+                let view = Cone {
+                    pose,
+                    camera: &camera,
+                    mantle: mantle(&camera),
+                };
                 let mut shown: Vec<u32> = blocks.candidates(&view).collect();
                 assert!(shown.len() <= blocks.count(&view));
                 if model == CameraModel::SimplePinhole && camera.contains(&camera.pinhole_part().1)
