@@ -27,29 +27,45 @@ use super::{
 use crate::bounded;
 
 /// The reconstructions of a file, with no more cameras and shots together than a model may have.
-struct Reconstructions(Vec<Reconstruction>);
+#[derive(Default)]
+struct Reconstructions {
+    /// The number of shots of each.
+    sizes: Vec<usize>,
+    /// The first with the most shots. Others are not kept: they may have as many points.
+    largest: Option<Reconstruction>,
+}
 
 impl<'de> Deserialize<'de> for Reconstructions {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         struct All;
         impl<'de> Visitor<'de> for All {
-            type Value = Vec<Reconstruction>;
+            type Value = Reconstructions;
             fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
                 f.write_str("a list of reconstructions")
             }
             fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Self::Value, A::Error> {
-                let (mut all, mut images) = (Vec::<Reconstruction>::new(), 0);
+                let (mut all, mut images) = (Reconstructions::default(), 0);
                 while let Some(one) = list.next_element::<Reconstruction>()? {
                     images += one.cameras.len().max(one.shots.len());
                     if images > MOST_IMAGES {
                         return Err(bounded::too_many(MOST_IMAGES));
                     }
-                    all.push(one);
+                    all.add(one);
                 }
                 Ok(all)
             }
         }
-        deserializer.deserialize_seq(All).map(Self)
+        deserializer.deserialize_seq(All)
+    }
+}
+
+impl Reconstructions {
+    fn add(&mut self, one: Reconstruction) {
+        self.sizes.push(one.shots.len());
+        let largest = self.largest.as_ref();
+        if largest.is_none_or(|largest| largest.shots.len() < one.shots.len()) {
+            self.largest = Some(one);
+        }
     }
 }
 
@@ -172,9 +188,8 @@ type Observations = Vec<Vec<(usize, [f64; 2])>>;
 
 /// Reads the reconstruction and the tracks; without tracks, points have no observations.
 pub fn read(reconstruction: &[u8], tracks: Option<&[u8]>) -> Result<ForeignModel, Fault> {
-    let Reconstructions(reconstructions) = json(reconstruction)?;
-    let sizes = reconstructions.iter().map(|one| one.shots.len()).collect();
-    let Some(largest) = largest(reconstructions) else {
+    let Reconstructions { sizes, largest } = json(reconstruction)?;
+    let Some(largest) = largest else {
         return Ok(ForeignModel::default());
     };
     let origin = largest.reference_lla.as_ref();
@@ -216,12 +231,6 @@ fn warn_of_smaller(foreign: &mut ForeignModel, mut sizes: Vec<usize>) {
         );
         foreign.warn(WarningKind::OtherParts, text);
     }
-}
-
-/// The first reconstruction with the most shots.
-fn largest(reconstructions: Vec<Reconstruction>) -> Option<Reconstruction> {
-    let last_first = reconstructions.into_iter().rev();
-    last_first.max_by_key(|reconstruction| reconstruction.shots.len())
 }
 
 impl Reconstruction {

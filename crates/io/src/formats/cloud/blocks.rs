@@ -19,13 +19,13 @@ const MARGIN: f64 = 0.02;
 pub struct Cone<'a> {
     pub pose: Pose,
     pub camera: &'a Camera,
-    pub mantle: Mantle,
+    mantle: Mantle,
 }
 
-/// Sine and cosine of the angle between axis and mantle; `None`: everywhere.
+/// Sine and cosine of the angle between axis and mantle of a cone; `None`: everywhere.
 pub type Mantle = Option<(f64, f64)>;
 
-/// Returns the mantle of a camera's images.
+/// The cone around the axis of a camera that has all of its image.
 pub fn mantle(camera: &Camera) -> Mantle {
     let angle = largest_angle(camera).map(|angle| angle + MARGIN);
     // A wider cone would not be convex.
@@ -33,7 +33,16 @@ pub fn mantle(camera: &Camera) -> Mantle {
     angle.map(f64::sin_cos)
 }
 
-impl Cone<'_> {
+impl<'a> Cone<'a> {
+    /// `mantle`: that of the camera.
+    pub fn new(pose: Pose, camera: &'a Camera, mantle: Mantle) -> Self {
+        Self {
+            pose,
+            camera,
+            mantle,
+        }
+    }
+
     /// The pixel of a point in the image.
     pub fn pixel(&self, x: &Point3<f64>) -> Option<[f64; 2]> {
         let pixel = self.camera.project(&self.pose.camera_from_world(x))?;
@@ -189,11 +198,7 @@ mod tests {
                     rotation: Rotation3::new(axis.normalize() * turn),
                     translation: Vector3::new(0.0, turn.cos() * 4.0, turn % 5.0),
                 };
-                let view = Cone {
-                    pose,
-                    camera: &camera,
-                    mantle: mantle(&camera),
-                };
+                let view = Cone::new(pose, &camera, mantle(&camera));
                 let mut shown: Vec<u32> = blocks.candidates(&view).collect();
                 assert!(shown.len() <= blocks.count(&view));
                 if model == CameraModel::SimplePinhole && camera.contains(&camera.pinhole_part().1)
