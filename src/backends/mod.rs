@@ -251,6 +251,14 @@ pub fn by_name(name: &str) -> Result<&'static Backend, UnknownBackend> {
         })
 }
 
+/// Returns what tells the depth maps of a plan for this program from others in their folder.
+pub fn known_maps(backend: &str, folder: &Path) -> KnownMaps {
+    match by_name(backend) {
+        Ok(backend) => (backend.known_maps)(folder),
+        Err(_) => Box::new(|_| true),
+    }
+}
+
 /// Resolves a name or alias to the backend's name;
 /// [`Configuration::load`](crate::config::Configuration::load) checks settings with it.
 pub fn canonical_name(name: &str) -> Result<&'static str, UnknownBackend> {

@@ -14,9 +14,10 @@ use crate::{
             MeasuredClusters, MeasuredProgress, MeasuredSurface, baselines, clusters, orders,
             other_sizes_in_words,
         },
-        replan::{self, known_maps},
+        replan,
         report::{folders_of_maps, own_folder_of_maps},
     },
+    backends,
     base::{printable::to_json, shell::shown_path},
     daemon::{follow::follow, state::Outcome},
     io::{
@@ -141,7 +142,7 @@ fn record(
     let Some(own) = own.filter(|_| !is_other && arguments.out.is_none()) else {
         return;
     };
-    let known = known_maps(plan.stages.backend, &own);
+    let known = backends::known_maps(plan.stages.backend, &own);
     if let Outcome::Failed { reason, .. } = follow(&project.home, &known, progress) {
         warn(&format!("status is not told what was measured: {reason}"));
     }

@@ -9,10 +9,10 @@ use crate::{apps::planning, show::files::files_of_same_model};
 use crate::{
     apps::{
         dispatch::Dispatch,
-        replan::{EarlierPlan, MapFolder, known_maps, replan},
+        replan::{EarlierPlan, MapFolder, replan},
         report::{DepthMapFolders, MissedRegion, own_folder_of_maps},
     },
-    backends::{self, Backend, Choice, KnownMaps},
+    backends::{self, Backend, Choice, KnownMaps, known_maps},
     base::{
         advice::on_command_line,
         error::{Advice, Hint},

@@ -9,8 +9,8 @@ use std::{
 };
 
 use crate::{
-    apps::replan::{EarlierPlan, MapFolder, known_maps},
-    backends,
+    apps::replan::{EarlierPlan, MapFolder},
+    backends::{self, known_maps},
     base::{
         error::{Advice, Hint, shortened},
         printable::printable,
@@ -177,12 +177,13 @@ impl MapsThere {
         let project = Project::open(home, None).ok()?;
         let folder = project.folder_of_maps(backend)?;
         let scene = project.read_scene().ok()?;
-        let found = in_folder(&folder, &scene)?;
+        let known = known_maps(backend, &folder);
+        let found = in_folder(&folder, &scene, &known)?;
         let earlier = EarlierPlan::read(&project).ok();
         let maps = MapFolder {
             folder: &folder,
             ready: &|_| true,
-            known: &known_maps(backend, &folder),
+            known: &known,
         };
         let counts = |map: &&DepthMapFile| {
             let key = scene.name(map.view);
@@ -198,7 +199,7 @@ impl MapsThere {
         let folders = depthmaps::folders(home);
         let elsewhere = folders.iter().filter(|other| **other != folder);
         let elsewhere = elsewhere.map(|other| {
-            let maps = in_folder(other, &scene).unwrap_or_default();
+            let maps = in_folder(other, &scene, &|_| true).unwrap_or_default();
             (maps.len(), other, "another program has made them")
         });
         let mut others = [unknown].into_iter().chain(elsewhere);
@@ -214,8 +215,12 @@ impl MapsThere {
     }
 }
 
-fn in_folder(folder: &Path, scene: &Scene) -> Option<Vec<DepthMapFile>> {
-    match depthmaps::list(folder, scene) {
+fn in_folder(
+    folder: &Path,
+    scene: &Scene,
+    known: &dyn Fn(&Path) -> bool,
+) -> Option<Vec<DepthMapFile>> {
+    match depthmaps::list_preferring(folder, scene, known) {
         Ok(listed) => Some(listed.maps),
         Err(DepthMapError::Io { source, .. }) if source.kind() == ErrorKind::NotFound => {
             Some(Vec::new())

@@ -319,7 +319,7 @@ impl FollowJob<'_> {
             ..
         } = &self.plan;
         let (scene, settings) = (&stages.scene, &stages.settings);
-        let maps = depthmaps::list(self.maps.folder, scene)?.maps;
+        let maps = depthmaps::list_preferring(self.maps.folder, scene, self.maps.known)?.maps;
         let counts = |map: &&DepthMapFile| {
             let key = scene.name(map.view);
             self.maps.counts(key, &map.path, self.earlier)

@@ -31,9 +31,9 @@ use crate::{
     apps::{
         dispatch::Dispatch,
         planning,
-        replan::{self, EarlierPlan, MapFolder, RepeatError, ReplanError, known_maps, replan},
+        replan::{self, EarlierPlan, MapFolder, RepeatError, ReplanError, replan},
     },
-    backends,
+    backends::{self, known_maps},
     base::{
         error::Hint,
         progress::{Stage, Watcher},

@@ -33,7 +33,7 @@ pub use memory::Memory;
 pub use mesh::MeshError;
 pub use region::{
     GroundSummary, RegionFileError, area_in_words, ground_without_surface, photographed_ground,
-    wanted_gsd,
+    region_in_degrees, wanted_gsd,
 };
 pub use stages::Stages;
 pub use timings::Timings;

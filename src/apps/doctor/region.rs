@@ -1,6 +1,6 @@
 //! A region, and what the photographs miss of it.
 
-use std::path::Path;
+use std::{fmt::Display, path::Path};
 
 use super::{Finding, Inputs, Severity};
 use crate::{
@@ -19,18 +19,22 @@ pub fn findings(inputs: &Inputs) -> Option<Finding> {
     // May read the positions in the images.
     let place = plan::georeference(inputs.project, inputs.scene, &inputs.settings.frame);
     match ground(inputs, &place) {
-        Ok((ground, is_planned)) => of_ground(inputs, &place, &ground?, is_planned),
-        Err(error) => {
-            let cure = error.hint().map(|hint| on_command_line(&hint));
-            let cure = cure.unwrap_or_else(|| "give another region".into());
-            Some(Finding::new(
-                Severity::Error,
-                "region",
-                error.to_string(),
-                cure,
-            ))
+        Ok((ground, true)) => of_ground(inputs, &place, &ground?, true),
+        Ok((ground, false)) => {
+            let misread = plan::region_in_degrees(inputs.scene, &place, inputs.settings);
+            match misread {
+                Some(error) => Some(unusable(&error)),
+                None => of_ground(inputs, &place, &ground?, false),
+            }
         }
+        Err(error) => Some(unusable(&error)),
     }
+}
+
+fn unusable(error: &(impl Hint + Display)) -> Finding {
+    let cure = error.hint().map(|hint| on_command_line(&hint));
+    let cure = cure.unwrap_or_else(|| "give another region".into());
+    Finding::new(Severity::Error, "region", error.to_string(), cure)
 }
 
 /// Returns the ground of the region, and whether it is that of a plan, which has a surface.

@@ -13,6 +13,7 @@ use super::{
     measure::{MapMeasurement, Quality, measure},
 };
 use crate::{
+    backends::{KnownMaps, known_maps},
     base::{
         column::TableError,
         error::{Advice, Hint},
@@ -83,6 +84,11 @@ pub struct EvaluationInput<'a> {
     /// The clusters, in the order in which they were to be computed.
     pub clusters: &'a [ViewCluster],
     pub depth_maps: &'a Path,
+    /// Tells the maps of the plan from others of the same views, which count where there is none.
+    pub known: KnownMaps,
+    /// Number of clusters that the plan counts as finished: of the others, only known maps are
+    /// measured. `None`: all maps are.
+    pub of_plan: Option<usize>,
     pub reference: Option<&'a Path>,
     /// a_d for pixels that show no triangle, scene units.
     pub accuracy: f64,
@@ -96,7 +102,7 @@ pub struct EvaluationInput<'a> {
 impl MeasuredClusters {
     pub fn new(task: &EvaluationInput, watcher: &dyn Watcher) -> Result<Self, EvaluateError> {
         let scene = task.model.scene;
-        let maps = depthmaps::find(task.depth_maps, scene)?;
+        let maps = task.maps()?;
         let references = task
             .reference
             .map(|folder| depthmaps::find(folder, scene)?.into_complete())
@@ -204,6 +210,8 @@ impl<'a> EvaluationInput<'a> {
             model,
             clusters,
             depth_maps,
+            known: known_maps(stages.backend, depth_maps),
+            of_plan: None,
             reference,
             accuracy,
             places: stages.pilot.as_ref().map(|pilot| &*pilot.places),
@@ -227,6 +235,11 @@ fn map_of(set: &DepthMapSet, view: ViewIndex) -> Option<&DepthMapFile> {
 }
 
 impl EvaluationInput<'_> {
+    fn maps(&self) -> Result<DepthMapSet, DepthMapError> {
+        let listed = depthmaps::list_preferring(self.depth_maps, self.model.scene, &self.known);
+        listed?.not_empty(self.depth_maps)
+    }
+
     /// Returns the clusters that have a map, sorted by key view, and the key views without one.
     fn found<'a>(
         &'a self,
@@ -234,7 +247,7 @@ impl EvaluationInput<'_> {
     ) -> Result<(Vec<FoundMap<'a>>, Vec<ViewIndex>), EvaluateError> {
         let (mut found, mut without_map) = (Vec::new(), Vec::new());
         for (rank, cluster) in (0..).zip(self.clusters) {
-            match map_of(maps, cluster.key) {
+            match map_of(maps, cluster.key).filter(|file| self.counts(rank, file)) {
                 Some(file) => found.push(FoundMap {
                     cluster,
                     file,
@@ -248,6 +261,11 @@ impl EvaluationInput<'_> {
         }
         found.sort_by_key(|map| map.cluster.key);
         Ok((found, without_map))
+    }
+
+    fn counts(&self, rank: u32, file: &DepthMapFile) -> bool {
+        let is_finished = |finished| (rank as usize) < finished;
+        self.of_plan.is_none_or(is_finished) || (self.known)(&file.path)
     }
 
     /// Measures the maps; an inner error is of a map that cannot be read.

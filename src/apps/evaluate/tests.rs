@@ -166,6 +166,8 @@ impl Fixture {
             model: self.model(),
             clusters,
             depth_maps: maps,
+            known: Box::new(|_| true),
+            of_plan: None,
             reference,
             accuracy: GSD,
             places: None,

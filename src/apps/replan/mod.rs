@@ -20,7 +20,6 @@ use crate::{
         EvaluateError, EvaluationInput, MapSize, MeasuredClusters, MeasuredProgress,
         other_sizes_in_words,
     },
-    backends::{KnownMaps, by_name},
     base::{
         bounded::Names,
         error::{Advice, Hint},
@@ -139,14 +138,6 @@ impl MapFolder<'_> {
     /// Returns whether the depth map of a key view counts for the earlier plan.
     pub fn counts(&self, key: &str, map: &Path, earlier: &EarlierPlan) -> bool {
         (self.ready)(map) && ((self.known)(map) || earlier.finished.contains(key))
-    }
-}
-
-/// Returns what tells the depth maps of a plan for this program from others in their folder.
-pub fn known_maps(backend: &str, folder: &Path) -> KnownMaps {
-    match by_name(backend) {
-        Ok(backend) => (backend.known_maps)(folder),
-        Err(_) => Box::new(|_| true),
     }
 }
 
@@ -359,7 +350,7 @@ fn look(
         maps: files,
         unreadable,
         ..
-    } = depthmaps::list(maps.folder, &plan.stages.scene)?;
+    } = depthmaps::list_preferring(maps.folder, &plan.stages.scene, maps.known)?;
     let ready = unreadable
         .into_iter()
         .filter(|(path, _)| (maps.ready)(path));

@@ -58,13 +58,21 @@ impl Real {
             depthmaps::find(reference, &plan.stages.scene).map_err(EvaluateError::from)?;
         }
         let clusters: Vec<_> = orders::of_plan(plan).cloned().collect();
+        // Of its own maps a project has those of its plan, as in its status.
         let (of_project, folders) = match &asked.depth_maps {
             Some(folder) => (false, vec![folder.clone()]),
-            None => (true, folders_of_maps(plan, project)),
+            None => (
+                true,
+                own_folder_of_maps(plan, project).into_iter().collect(),
+            ),
         };
         let mut left_out = Vec::new();
         for folder in &folders {
-            match MeasuredClusters::new(&task(plan, &clusters, folder, asked), watcher) {
+            let task = EvaluationInput {
+                of_plan: of_project.then_some(plan.decision.finished),
+                ..task(plan, &clusters, folder, asked)
+            };
+            match MeasuredClusters::new(&task, watcher) {
                 Ok(run) => {
                     left_out.extend(other_sizes_in_words(&plan.stages, &run.other_sizes));
                     left_out.extend(
@@ -76,7 +84,7 @@ impl Real {
                         let (count, name) = (run.other_partners.len(), plan.stages.scene.name(first));
                         format!("{count} depth maps were made with other partners than planned; the first is {name}")
                     }));
-                    left_out.extend(others_of(plan, folder, &folders));
+                    left_out.extend(of_project.then(|| others_of(plan, project)).flatten());
                     return Ok((
                         Some(Self::of(plan, drawn, &run, &clusters, folder)),
                         left_out,
@@ -96,7 +104,10 @@ impl Real {
         }
         match &asked.reference {
             Some(reference) => Err(ReportError::NothingToCompare(reference.clone())),
-            None => Ok((None, left_out)),
+            None => {
+                left_out.extend(others_of(plan, project));
+                Ok((None, left_out))
+            }
         }
     }
 
@@ -159,18 +170,18 @@ pub fn own_folder_of_maps(plan: &Plan, project: &Project) -> Option<PathBuf> {
     project.folder_of_maps(plan.stages.backend)
 }
 
-/// Warns of further folders with depth maps of the plan's views, which are not measured.
-fn others_of(plan: &Plan, measured: &Path, folders: &[PathBuf]) -> Vec<String> {
-    let others = folders.iter().filter(|folder| *folder != measured);
-    let has_maps = |folder: &&PathBuf| depthmaps::find(folder, &plan.stages.scene).is_ok();
-    let words = |folder: &PathBuf| {
-        format!(
-            "ignored the depth maps in {}; those in {} are shown",
-            folder.display(),
-            measured.display()
-        )
-    };
-    others.filter(has_maps).map(words).collect()
+/// Warns of depth maps of the plan's views that another program has made.
+fn others_of(plan: &Plan, project: &Project) -> Option<String> {
+    let own = own_folder_of_maps(plan, project);
+    let folders = depthmaps::folders(&project.home);
+    let mut others = folders
+        .iter()
+        .filter(|folder| Some(*folder) != own.as_ref());
+    let other = others.find(|folder| depthmaps::find(folder, &plan.stages.scene).is_ok())?;
+    Some(format!(
+        "the depth maps in {} are of another program than the plan, and do not count; --depth-maps shows them",
+        other.display()
+    ))
 }
 
 fn task<'a>(

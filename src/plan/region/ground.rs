@@ -8,7 +8,7 @@ use crate::{
     base::{decimals::significant, progress::NoWatcher},
     config::Settings,
     method::{
-        region::{COARSEST, Ground, Photographed},
+        region::{COARSEST, Ground, Photographed, RegionError, RegionShape},
         target::GSD_MARGIN,
     },
     model::{
@@ -200,6 +200,20 @@ pub fn photographed_ground(
     let ground = ground_without_surface(scene, place, settings, without_image)?;
     let needed = settings.coverage.min_cameras;
     Ok(ground.map(|ground| GroundSummary::new(&ground, false, needed)))
+}
+
+/// The error of a region of the settings whose numbers are probably degrees, where the model has no
+/// place on earth.
+pub fn region_in_degrees(
+    scene: &Scene,
+    place: &Georeference,
+    settings: &Settings,
+) -> Option<RegionError> {
+    let frame = MapFrame::new(scene, settings.surface.up);
+    match super::read(settings.region.as_ref()?, place, &frame).ok()? {
+        RegionShape::Areas(areas) => areas.in_degrees(&scene.points),
+        _ => None,
+    }
 }
 
 /// Ground sampling distance that a plan of the scene wants, scene units per pixel of the matched

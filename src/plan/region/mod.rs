@@ -5,7 +5,8 @@ mod ground;
 use std::path::{Path, PathBuf};
 
 pub use ground::{
-    GroundSummary, area_in_words, ground_without_surface, photographed_ground, wanted_gsd,
+    GroundSummary, area_in_words, ground_without_surface, photographed_ground, region_in_degrees,
+    wanted_gsd,
 };
 
 use crate::{

@@ -170,6 +170,14 @@ fn maps_of_colmap_with_the_marks_of_the_lists_count() {
     folder.maps_of_colmap("p", &views());
     folder.marks("p");
     assert_eq!(folder.status("p")["done"], 3);
+    // The user's own, which COLMAP makes by default, hide none of them.
+    for view in views() {
+        folder.write(
+            &format!("p/stereo/depth_maps/{view}.geometric.bin"),
+            b"2&2&1&of another size",
+        );
+    }
+    assert_eq!(folder.status("p")["done"], 3);
     plan(&folder, "p", &options);
     assert_eq!(folder.finished("p"), 3);
     // Maps that were made from something else.
@@ -198,6 +206,14 @@ fn the_maps_of_another_program_are_named_and_do_not_count() {
         note.contains("sgm") && note.contains("another program"),
         "{note}"
     );
+    let project = folder.at("p");
+    let (code, _, stderr) = said(&viewrank(&["report", project.to_str().unwrap()]));
+    assert!(
+        code == 0 && stderr.contains("are of another program than the plan"),
+        "{stderr}"
+    );
+    let page = fs::read_to_string(folder.at("p/viewrank/report.html")).unwrap();
+    assert!(!page.contains("have a depth map"), "it is not of the plan");
     let root = folder.path().to_str().unwrap();
     let watched = viewrank(&["watch", root, "--once"]);
     assert!(watched.status.success(), "{watched:?}");

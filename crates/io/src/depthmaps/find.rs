@@ -70,6 +70,15 @@ pub struct DepthMapSet {
 }
 
 impl DepthMapSet {
+    /// Fails where no map was found, with the first that cannot be read.
+    pub fn not_empty(self, folder: &Path) -> Result<Self, DepthMapError> {
+        if !self.maps.is_empty() {
+            return Ok(self);
+        }
+        let unread = self.into_complete().err();
+        Err(unread.unwrap_or(DepthMapError::None(folder.into())))
+    }
+
     /// Returns the set if no file is unreadable.
     ///
     /// # Errors
@@ -145,15 +154,7 @@ pub fn folder_of(project: &Path, dense: Option<&Path>, kind: &str) -> Option<Pat
 /// # Errors
 /// As [`list`]; without any map, the error of the first unreadable file or [`DepthMapError::None`].
 pub fn find(folder: &Path, scene: &Scene) -> Result<DepthMapSet, DepthMapError> {
-    let set = list(folder, scene)?;
-    if set.maps.is_empty() {
-        Err(set
-            .into_complete()
-            .err()
-            .unwrap_or(DepthMapError::None(folder.into())))
-    } else {
-        Ok(set)
-    }
+    list(folder, scene)?.not_empty(folder)
 }
 
 /// Lists the depth maps under `folder`. A geometric map replaces the photometric map of the same
@@ -162,7 +163,19 @@ pub fn find(folder: &Path, scene: &Scene) -> Result<DepthMapSet, DepthMapError> 
 /// # Errors
 /// If the folder cannot be listed, or a view has two maps.
 pub fn list(folder: &Path, scene: &Scene) -> Result<DepthMapSet, DepthMapError> {
-    let mut best: BTreeMap<ViewIndex, (u8, PathBuf, DepthMapFormat)> = BTreeMap::new();
+    list_preferring(folder, scene, &|_| true)
+}
+
+/// As [`list`], but of the maps of a view one that is preferred comes first, such as that of a plan.
+///
+/// # Errors
+/// As [`list`].
+pub fn list_preferring(
+    folder: &Path,
+    scene: &Scene,
+    is_preferred: &dyn Fn(&Path) -> bool,
+) -> Result<DepthMapSet, DepthMapError> {
+    let mut best: BTreeMap<ViewIndex, ((bool, u8), PathBuf, DepthMapFormat)> = BTreeMap::new();
     let (mut unassigned, mut unreadable) = (Vec::new(), Vec::new());
     let mut numbers = Numbers {
         folder,
@@ -193,6 +206,7 @@ pub fn list(folder: &Path, scene: &Scene) -> Result<DepthMapSet, DepthMapError> 
                 continue;
             }
         };
+        let rank = (!is_preferred(path), rank);
         let found = (rank, path.to_path_buf(), format);
         match best.get_mut(&view) {
             None => drop(best.insert(view, found)),

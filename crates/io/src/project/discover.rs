@@ -2,7 +2,7 @@
 
 use std::{
     cmp::Reverse,
-    collections::{BTreeMap, HashSet},
+    collections::{BTreeMap, BTreeSet, HashSet},
     fs,
     io::Read,
     path::{Path, PathBuf},
@@ -308,6 +308,9 @@ fn choose(
     mut models: Vec<ModelLocation>,
     wanted: Option<&str>,
 ) -> Result<(ModelLocation, Vec<ModelLocation>), ProjectError> {
+    // Folders may be looked at for more than one program.
+    let mut seen = BTreeSet::new();
+    models.retain(|model| seen.insert(model.path.clone()));
     name_apart(&mut models, root);
     models.sort_by_cached_key(order);
     check_any(path, root, &models)?;

@@ -34,6 +34,7 @@ use super::{
     run::{EvaluateError, MeasuredClusters},
 };
 use crate::{
+    backends,
     base::{progress::Watcher, rows::Offsets},
     io::depthmaps,
     method::{confidence::Confidence, fulfilment},
@@ -119,7 +120,8 @@ pub fn incidence(
         .iter()
         .map(|&c| run.clusters[c as usize].key)
         .collect();
-    let maps = depthmaps::find(depth_maps, &stages.scene)?;
+    let known = backends::known_maps(stages.backend, depth_maps);
+    let maps = depthmaps::list_preferring(depth_maps, &stages.scene, &known)?;
     let gsd = PlaceGsd::new(stages);
     let support = stages.objective.support;
     let names = || views.iter().map(|&view| stages.scene.name(view).to_owned());

@@ -228,16 +228,30 @@ impl MapAreas {
     }
 
     pub fn outside(&self, surface: &Surface) -> RegionError {
-        let vertices: Vec<[f64; 2]> = surface
-            .vertices
-            .iter()
-            .map(|v| self.projection.project(v))
-            .collect();
+        let vertices = surface.vertices.iter().map(|v| self.projection.project(v));
+        self.outside_of(&vertices.collect::<Vec<_>>())
+    }
+
+    /// The error of polygons that are probably in degrees, where the model has no place on earth and
+    /// no point of it is near them.
+    pub fn in_degrees(&self, points: &[Point3<f64>]) -> Option<RegionError> {
+        let points: Vec<[f64; 2]> = points.iter().map(|x| self.projection.project(x)).collect();
+        let Rectangle { low, high } = self.rectangle();
+        let is_in = |x: &[f64; 2]| (0..2).all(|axis| low[axis] <= x[axis] && x[axis] <= high[axis]);
+        let error = self.outside_of(&points);
+        (error.is_in_degrees() && !points.iter().any(is_in)).then_some(error)
+    }
+
+    fn outside_of(&self, points: &[[f64; 2]]) -> RegionError {
         RegionError::OutsideMap {
-            region: Rectangle::around(self.rings.iter().flatten().flatten()),
-            model: Rectangle::around(&vertices),
+            region: self.rectangle(),
+            model: Rectangle::around(points),
             is_geodetic: matches!(self.projection, Projection::Geodetic(_)),
         }
+    }
+
+    fn rectangle(&self) -> Rectangle {
+        Rectangle::around(self.rings.iter().flatten().flatten())
     }
 
     pub fn outline(&self) -> Outline {

@@ -96,7 +96,7 @@ impl RegionError {
     }
 
     /// Returns whether a polygon that was taken for one in units of the model is probably in degrees.
-    fn is_in_degrees(&self) -> bool {
+    pub(super) fn is_in_degrees(&self) -> bool {
         let Self::OutsideMap {
             region: Rectangle { low, high },
             is_geodetic: false,
