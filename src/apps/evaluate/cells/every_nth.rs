@@ -11,7 +11,7 @@ const MOST_CHOICES: usize = 1 << 11;
 /// are looked at.
 const MOST_WORK: usize = 1 << 29;
 /// Words for the cells of a row, in those for one of its maps.
-const SUM: usize = 16;
+const SUM: usize = 48;
 const BITS: usize = u64::BITS as usize;
 
 /// Returns the shares of the cells that choices of 0, 1, ... of these maps cover, of all cells and

@@ -81,6 +81,23 @@ impl Lists {
     }
 }
 
+/// Returns the n-th smallest of these numbers, n = 1, 2, ...
+fn smallest(numbers: &mut [u32], n: u32) -> Option<u32> {
+    if numbers.len() < n as usize {
+        return None;
+    }
+    // Most programs want two maps, and rows are many and short.
+    if n == 2 {
+        let of_two = |[first, second]: [u32; 2], &number: &u32| {
+            [first.min(number), second.min(first.max(number))]
+        };
+        let [_, second] = numbers.iter().fold([u32::MAX; 2], of_two);
+        return Some(second);
+    }
+    let (_, &mut nth, _) = numbers.select_nth_unstable((n as usize).checked_sub(1)?);
+    Some(nth)
+}
+
 /// Cells in which the same maps take part.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Row {
@@ -215,16 +232,13 @@ impl Incidence {
             number_of[map as usize] = number;
         }
         let mut added = vec![[0_u64; 2]; order.len() + 1];
-        let last = self.support.max(1) as usize - 1;
         let mut numbers = Vec::new();
         for (maps, cells) in self.maps_of.iter().zip(&self.cells) {
-            if maps.len() > last {
-                numbers.clear();
-                numbers.extend(maps.iter().map(|&map| number_of[map as usize]));
-                let (_, &mut number, _) = numbers.select_nth_unstable(last);
-                if let Some(added) = added.get_mut(number as usize) {
-                    (0..2).for_each(|i| added[i] += u64::from(cells[i]));
-                }
+            numbers.clear();
+            numbers.extend(maps.iter().map(|&map| number_of[map as usize]));
+            let last = smallest(&mut numbers, self.support);
+            if let Some(added) = last.and_then(|last| added.get_mut(last as usize)) {
+                (0..2).for_each(|i| added[i] += u64::from(cells[i]));
             }
         }
         CountedCells::BOTH.map(|counted| {
@@ -435,6 +449,15 @@ mod tests {
             let shown = escaped(name);
             assert!(shown.chars().all(is_printable), "{shown}");
             assert_eq!(unescaped(&shown), name);
+        }
+    }
+
+    #[test]
+    fn the_smallest_numbers_are_found_in_any_order() {
+        for numbers in [[1, 2, 3, 3], [3, 2, 3, 1], [2, 3, 1, 3], [3, 3, 2, 1]] {
+            let nth = |n| smallest(&mut numbers.clone(), n);
+            let all = [0, 1, 2, 3, 4, 5].map(nth);
+            assert_eq!(all, [None, Some(1), Some(2), Some(3), Some(3), None]);
         }
     }
 

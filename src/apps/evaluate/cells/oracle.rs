@@ -10,10 +10,11 @@ const WHOLE: u64 = 15;
 /// Credits for a cell with all but one of the maps that it needs: no single one is best everywhere.
 const CREDITS: [u64; 2] = [WHOLE / 5, WHOLE / 3];
 
-/// Bound on the rows and maps that a greedy order looks at; of ordinary tables it is a hundredth.
-const MOST_GREEDY: usize = 1 << 29;
-/// Bound on those that the exchanges of single maps look at.
-const MOST_EXCHANGED: usize = 1 << 25;
+/// Bound on the rows and maps that a greedy order looks at, some times the entries of a table of a
+/// thousand maps. Those left are ordered by what they would add then.
+const MOST_GREEDY: usize = 1 << 26;
+/// Bound on those that the exchanges of single maps look at, for each choice.
+const MOST_EXCHANGED: usize = 1 << 24;
 /// Maps whose largest gain is kept.
 const BLOCK: usize = 256;
 
@@ -63,6 +64,9 @@ pub fn best_of(
 }
 
 fn exchanged(table: &Incidence, counted: CountedCells, mut chosen: Vec<u32>) -> f64 {
+    if table.entries() >= MOST_EXCHANGED {
+        return table.covered(&chosen, counted);
+    }
     let support = table.support();
     let added = |taken| u64::from(taken + 1 == support);
     let mut choice = Choice::new(table, counted, added, &chosen);
@@ -104,8 +108,15 @@ struct Choice<'a, F> {
 struct Block {
     /// No gain of those not chosen is larger; `None` if all are chosen.
     bound: Option<u64>,
-    /// False if a gain has become smaller, or a map was chosen.
+    /// False if a gain may have become smaller.
     is_exact: bool,
+}
+
+impl Block {
+    const UNKNOWN: Self = Self {
+        bound: Some(u64::MAX),
+        is_exact: false,
+    };
 }
 
 impl<'a, F: Fn(u32) -> u64> Choice<'a, F> {
@@ -127,26 +138,22 @@ impl<'a, F: Fn(u32) -> u64> Choice<'a, F> {
         let taken = taken.collect();
         maps.filter(|&map| table.rows_of(map).is_empty())
             .for_each(|map| has[map as usize] = true);
-        let unknown = Block {
-            bound: Some(u64::MAX),
-            is_exact: false,
-        };
         Self {
-            blocks: vec![unknown; has.len().div_ceil(BLOCK)],
+            blocks: vec![Block::UNKNOWN; has.len().div_ceil(BLOCK)],
             table,
             counted,
             added,
             has,
             taken,
             gains,
-            work: 0,
+            work: table.entries(),
         }
     }
 
     /// Adds a map, or takes it away.
     fn set(&mut self, map: u32, is_chosen: bool) {
         self.has[map as usize] = is_chosen;
-        self.changed(map);
+        self.blocks[map as usize / BLOCK] = Block::UNKNOWN;
         let table = self.table;
         for &row in table.rows_of(map) {
             self.work += 1;
@@ -154,26 +161,27 @@ impl<'a, F: Fn(u32) -> u64> Choice<'a, F> {
             let before = (self.added)(*taken);
             *taken = if is_chosen { *taken + 1 } else { *taken - 1 };
             let now = (self.added)(*taken);
-            if now != before {
-                let cells = u64::from(table.cells(row, self.counted));
-                self.work += table.maps_of(row).len();
-                for &map in table.maps_of(row) {
-                    let gain = &mut self.gains[map as usize];
-                    *gain = *gain + now * cells - before * cells;
-                    self.changed(map);
+            let cells = u64::from(table.cells(row, self.counted));
+            // Blocks are written, not read: those of a row are often one.
+            if now > before {
+                for &map in self.changed(row) {
+                    self.gains[map as usize] += (now - before) * cells;
+                    self.blocks[map as usize / BLOCK] = Block::UNKNOWN;
+                }
+            } else if now < before {
+                for &map in self.changed(row) {
+                    self.gains[map as usize] -= (before - now) * cells;
+                    self.blocks[map as usize / BLOCK].is_exact = false;
                 }
             }
         }
     }
 
-    /// Notes a new gain or choice of a map.
-    fn changed(&mut self, map: u32) {
-        let map = map as usize;
-        let block = &mut self.blocks[map / BLOCK];
-        block.is_exact = false;
-        if !self.has[map] {
-            block.bound = block.bound.max(Some(self.gains[map]));
-        }
+    /// Returns the maps of a row whose gains change.
+    fn changed(&mut self, row: u32) -> &'a [u32] {
+        let maps = self.table.maps_of(row);
+        self.work += maps.len();
+        maps
     }
 
     /// Returns the map that adds most, of those that are not chosen; ties by index.
@@ -258,6 +266,24 @@ mod tests {
         }
         let pairs = (maps as usize).pow(2) / 2;
         assert!(choice.work < pairs / 20, "{}", choice.work);
+    }
+
+    #[test]
+    fn all_maps_are_ordered_where_the_work_is_bounded() {
+        // Each map is in all rows, so that no order is looked at to its end.
+        let row = |_| Row {
+            maps: (0..4000).collect(),
+            cells: 1,
+            agreeing: 1,
+        };
+        let names = (0..4000).map(|name| name.to_string()).collect();
+        let table = Incidence::new(names, (0..4400).map(row).collect(), 60);
+        assert!(table.entries() >= MOST_EXCHANGED);
+        let order = greedy(&table, CountedCells::All, CREDITS[0]);
+        let mut sorted = order.clone();
+        sorted.sort_unstable();
+        assert_eq!(sorted, table.usable());
+        assert_eq!(best_of(&table, CountedCells::All, &[order], 60), 1.0);
     }
 
     #[test]
