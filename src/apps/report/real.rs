@@ -61,10 +61,10 @@ impl Real {
         // Of its own maps a project has those of its plan, as in its status.
         let (of_project, folders) = match &asked.depth_maps {
             Some(folder) => (false, vec![folder.clone()]),
-            None => (
-                true,
-                own_folder_of_maps(plan, project).into_iter().collect(),
-            ),
+            None => {
+                let own = own_folder_of_maps(plan, project).filter(|folder| folder.is_dir());
+                (true, own.into_iter().collect())
+            }
         };
         let mut left_out = Vec::new();
         for folder in &folders {
