@@ -30,7 +30,9 @@ const PAUSE: Duration = Duration::from_secs(1);
 /// Pause before a failed write is retried.
 const RETRY: Duration = Duration::from_secs(10);
 /// Tries to take a lock, which others may hold for an instant.
-const TRIES: u32 = 5;
+const TRIES: u32 = 20;
+/// Time between two of them.
+const INSTANT: Duration = Duration::from_millis(10);
 /// The lock in a root's folder `viewrank`.
 const LOCK: &str = "watch.lock";
 const STATUS_FILE: &str = "status.json";
@@ -69,7 +71,7 @@ impl Holder {
         // A process that only queries the holder of the root locks it for an instant.
         for _ in 0..TRIES {
             match lock.try_lock() {
-                Err(TryLockError::WouldBlock) => thread::sleep(Duration::from_millis(10)),
+                Err(TryLockError::WouldBlock) => thread::sleep(INSTANT),
                 locked => {
                     if let Err(TryLockError::Error(error)) = locked {
                         warn!(
@@ -104,11 +106,20 @@ impl Holder {
         Ok(())
     }
 
-    /// Returns whether a daemon holds the root now.
+    /// Returns whether a daemon holds the root now, and not only for an instant: a process that it
+    /// was just starting when it ended has a copy of its lock until then.
     fn is_held(root: &Path) -> bool {
         let name = format!("{OUTPUT_FOLDER}/{LOCK}");
-        let lock = output::open_own(root, &name).map(|lock| lock.try_lock_shared());
-        matches!(lock, Ok(Err(TryLockError::WouldBlock)))
+        let Ok(lock) = output::open_own(root, &name) else {
+            return false;
+        };
+        (0..TRIES).all(|_| {
+            let is_held = matches!(lock.try_lock_shared(), Err(TryLockError::WouldBlock));
+            if is_held {
+                thread::sleep(INSTANT);
+            }
+            is_held
+        })
     }
 }
 
