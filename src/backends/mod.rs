@@ -85,7 +85,7 @@ pub static BACKENDS: &[&Backend] = &[
     &images::BACKEND,
 ];
 
-/// Whether the depth map at a path was made for the exported plan.
+/// Tells whether the depth map at a path was made for the exported plan.
 pub type KnownMaps = Box<dyn Fn(&Path) -> bool + Send + Sync>;
 
 /// An MVS program: its name, what it honours of a plan, the numbers it is planned with, and its

@@ -40,7 +40,7 @@ pub struct Call<'a> {
     pub work: &'a Path,
     /// Content of the mark of a depth map: what it is made from.
     pub id: &'a str,
-    /// Ranks of the depth maps that a cloud is fused from.
+    /// Ranks of the depth maps that a cloud is fused from, ascending.
     pub finished: &'a [usize],
     /// The product there was made by viewrank, or by the script of the export.
     pub is_marked: bool,
@@ -61,6 +61,11 @@ impl TaskRunner {
 }
 
 impl<'a> Call<'a> {
+    /// Returns whether the depth map of this rank is among those that a cloud is fused from.
+    pub fn is_finished(&self, rank: usize) -> bool {
+        self.finished.binary_search(&rank).is_ok()
+    }
+
     /// The disk, for changes in the project alone.
     pub fn disk(&self) -> Disk<'a> {
         Disk::REAL.within(slice::from_ref(self.project))

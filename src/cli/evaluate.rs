@@ -15,7 +15,7 @@ use crate::{
             other_sizes_in_words,
         },
         replan,
-        report::{folders_of_maps, own_folder_of_maps},
+        report::own_folder_of_maps,
     },
     backends,
     base::{printable::to_json, shell::shown_path},
@@ -146,6 +146,14 @@ fn record(
     if let Outcome::Failed { reason, .. } = follow(&project.home, &known, progress) {
         warn(&format!("status is not told what was measured: {reason}"));
     }
+}
+
+/// Returns the folders that may hold depth maps, that of the plan's backend first.
+fn folders_of_maps(plan: &Plan, project: &Project) -> Vec<PathBuf> {
+    let own = own_folder_of_maps(plan, project);
+    let mut folders = depthmaps::folders(&project.home);
+    folders.sort_by_key(|folder| Some(folder) != own.as_ref());
+    folders
 }
 
 /// Returns the folder with depth maps of the plan, unless a table is named.

@@ -243,7 +243,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
 }
 
-/// What is planned, and what of the plan before was kept for it or was not.
+/// Project and settings to plan, with what they take over from the previous plan.
 struct Input {
     project: Project,
     settings: Settings,
@@ -393,8 +393,8 @@ fn kept_test_every(home: &Path, settings: &Settings) -> Option<u32> {
 }
 
 /// Returns the folder of the depth maps that were made for the plan that this one replaces, with that
-/// plan and what tells them from others there: without it, nobody would know their partners, or that their views have moved. Warns of maps
-/// whose plan is lost.
+/// plan and a test for its maps: without them, nobody would know their partners, or that their views
+/// have moved. Warns of maps whose plan is lost.
 fn own_maps(plan: &Plan, project: &Project) -> Option<(PathBuf, EarlierPlan, Option<KnownMaps>)> {
     let is_same = planned_backend(project).is_some_and(|name| name == plan.stages.backend);
     let folder = own_folder_of_maps(plan, project).filter(|folder| folder.is_dir())?;

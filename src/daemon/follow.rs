@@ -206,7 +206,7 @@ pub fn modified(file: &Path) -> Option<SystemTime> {
 }
 
 /// Measures those of the present depth maps that are known to be made for the plan, and writes
-/// `progress.json`; [`Outcome::Abandoned`] where there are none.
+/// `progress.json`; [`Outcome::Abandoned`] without any.
 pub fn follow(
     root: &Path,
     known: &(dyn Fn(&Path) -> bool + Sync),
@@ -258,8 +258,8 @@ pub(super) fn failed(error: impl Hint) -> Outcome {
     }
 }
 
-/// Returns the folder of the program's depth maps, if some of these are in it: those of another program
-/// are none of its plan.
+/// Returns the folder of the program's depth maps, if it holds some of these. Maps of other programs
+/// do not count for its plan.
 pub(super) fn own_folder(project: &Project, backend: &str, files: &MapFiles) -> Option<PathBuf> {
     let folder = project.folder_of_maps(backend)?;
     files

@@ -147,7 +147,7 @@ impl<'a> Inputs<'a> {
     }
 }
 
-/// What is known of a scene before any image is opened.
+/// Data of a scene that need no image to be opened.
 struct Known<'a> {
     points: ViewPoints,
     fingerprints: Fingerprints<'a>,

@@ -9,7 +9,7 @@ use crate::{
     plan::{self, GroundSummary, ground_without_surface, length_in_words, wanted_gsd},
 };
 
-/// What the photographs show of such a region, and the images to take of it.
+/// Photographic coverage of a region without surface, and the images to take of it.
 pub struct MissedRegion {
     summary: GroundSummary,
     metres: Option<f64>,

@@ -26,7 +26,7 @@ pub use contents::{Contents, ReportError};
 pub use flight::MOST as MOST_PLANNED;
 pub use holes::{Hole, Holes, holes};
 pub use missed_region::MissedRegion;
-pub use real::{DepthMapFolders, folders_of_maps, own_folder_of_maps};
+pub use real::{DepthMapFolders, own_folder_of_maps};
 
 const PAGE: &str = include_str!("page/page.html");
 const STYLE: &str = include_str!("page/page.css");

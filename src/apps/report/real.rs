@@ -58,16 +58,11 @@ impl Real {
             depthmaps::find(reference, &plan.stages.scene).map_err(EvaluateError::from)?;
         }
         let clusters: Vec<_> = orders::of_plan(plan).cloned().collect();
-        // Of its own maps a project has those of its plan, as in its status.
-        let (of_project, folders) = match &asked.depth_maps {
-            Some(folder) => (false, vec![folder.clone()]),
-            None => {
-                let own = own_folder_of_maps(plan, project).filter(|folder| folder.is_dir());
-                (true, own.into_iter().collect())
-            }
-        };
+        let of_project = asked.depth_maps.is_none();
+        // Where none is named, the maps that the status counts.
+        let own = || own_folder_of_maps(plan, project).filter(|folder| folder.is_dir());
         let mut left_out = Vec::new();
-        for folder in &folders {
+        if let Some(folder) = &asked.depth_maps.clone().or_else(own) {
             let task = EvaluationInput {
                 of_plan: of_project.then_some(plan.decision.finished),
                 ..task(plan, &clusters, folder, asked)
@@ -154,14 +149,6 @@ fn counted(plan: &Plan, run: &MeasuredClusters) -> ReachCurve {
     let row = |c: usize| pilot.kept_row(&run.places[c], run.scales[c], run.real.row(c));
     let measured = FulfilmentTable::new((0..run.clusters.len()).map(row));
     ReachCurve::new(&measured, &pilot.measured(), &run.clusters, &run.order)
-}
-
-/// Returns the folders that may hold depth maps, that of the plan's backend first.
-pub fn folders_of_maps(plan: &Plan, project: &Project) -> Vec<PathBuf> {
-    let own = own_folder_of_maps(plan, project);
-    let mut folders = depthmaps::folders(&project.home);
-    folders.sort_by_key(|folder| Some(folder) != own.as_ref());
-    folders
 }
 
 /// Folder in which the plan's program writes its depth maps; `None` where links lead out of the

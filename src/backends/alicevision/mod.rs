@@ -56,7 +56,8 @@ pub static BACKEND: Backend = Backend {
 
 fn tasks(selection: &Selection, export: &Export) -> TaskRunner {
     let root = &export.files.root;
-    let map = |(rank, cluster)| Some(root.join(row(selection, rank, cluster).map()));
+    let image_id = |cluster: &RankedCluster| selection.scene.view(cluster.key).image_id;
+    let map = |cluster| Some(root.join(run::map_of(image_id(cluster))));
     TaskRunner {
         program: "aliceVision_depthMapEstimation",
         variable: "ALICEVISION",
@@ -69,7 +70,7 @@ fn tasks(selection: &Selection, export: &Export) -> TaskRunner {
         own: "",
         clouds: vec![root.join("dense.abc")],
         sizes_share_a_file: true,
-        maps: (1..).zip(selection.clusters).map(map).collect(),
+        maps: selection.clusters.iter().map(map).collect(),
     }
 }
 

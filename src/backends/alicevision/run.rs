@@ -32,7 +32,7 @@ pub const FILTERING: [&str; 4] = [
 ];
 /// Folder of the depth maps.
 pub const MAPS: &str = "depthMaps";
-/// What the meshing makes.
+/// Results of the meshing.
 const MESH: &str = "mesh.obj";
 const CLOUD: &str = "dense.abc";
 
@@ -60,6 +60,11 @@ pub struct Row {
     pub size: [u32; 2],
 }
 
+/// Path of the depth map of an image.
+pub fn map_of(image_id: u32) -> String {
+    format!("{MAPS}/{image_id}_depthMap.exr")
+}
+
 impl Row {
     /// Its rank, and the content of the mark of its map.
     fn task(&self) -> (usize, &str) {
@@ -68,11 +73,11 @@ impl Row {
 
     /// Path of the depth map.
     pub fn map(&self) -> String {
-        format!("{MAPS}/{}_depthMap.exr", self.view)
+        map_of(self.view)
     }
 
-    /// Returns what was made for the view below a folder; the depth map is last, since it says that
-    /// all is there.
+    /// Returns what was made for the view below a folder; the depth map comes last: once it is in
+    /// place, all is.
     fn made(&self, folder: &Path) -> Vec<String> {
         let of_view = format!("{}_", self.view);
         let entries = fs::read_dir(folder.join(MAPS)).into_iter().flatten();
@@ -112,8 +117,7 @@ pub fn commands(call: &Call) -> Result<Vec<Vec<OsString>>, String> {
             vec![command]
         }
         Product::Cloud => {
-            let finished: BTreeSet<usize> = call.finished.iter().copied().collect();
-            let rows = run.maps.iter().filter(|row| finished.contains(&row.rank));
+            let rows = run.maps.iter().filter(|row| call.is_finished(row.rank));
             lay_out_joining(&rows.collect::<Vec<_>>(), call, &mut files)?;
             joining(call)?
         }

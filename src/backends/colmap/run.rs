@@ -124,7 +124,7 @@ fn lay_out_map(row: &Row, call: &Call, files: &mut FileSet) -> (&'static str, St
 }
 
 fn lay_out_fusion(run: &Run, call: &Call, files: &mut FileSet) -> (&'static str, String) {
-    let is_there = |row: &&Row| call.finished.binary_search(&row.rank).is_ok();
+    let is_there = |row: &&Row| call.is_finished(row.rank);
     let mut listed = String::new();
     for row in run.maps.iter().filter(is_there) {
         add_image(&row.problem.reference, call, files);

@@ -78,7 +78,11 @@ fn own_scale(camera: &Camera) -> f64 {
 
 fn tasks(selection: &Selection, export: &Export) -> TaskRunner {
     let root = &export.files.root;
-    let map = |(rank, cluster)| Some(root.join(row(selection, rank, cluster).ok()?.map()));
+    let map = |cluster: &RankedCluster| {
+        let view = folder(selection.scene, cluster.key);
+        let level = selection.pyramid_level(cluster.scale);
+        Some(root.join(run::map_of(&view, level)))
+    };
     let clouds = joining(selection).into_iter();
     TaskRunner {
         program: "dmrecon",
@@ -91,7 +95,7 @@ fn tasks(selection: &Selection, export: &Export) -> TaskRunner {
         own: "",
         clouds: clouds.map(|(_, cloud)| root.join(cloud)).collect(),
         sizes_share_a_file: false,
-        maps: (1..).zip(selection.clusters).map(map).collect(),
+        maps: selection.clusters.iter().map(map).collect(),
     }
 }
 

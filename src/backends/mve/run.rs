@@ -4,7 +4,7 @@
 //! scene of its own, of links to the views of its cluster, and moved to its place if it is whole. A
 //! cloud is made in such a scene too, with links to the finished maps.
 
-use std::{collections::BTreeSet, ffi::OsString, path::Path};
+use std::{ffi::OsString, path::Path};
 
 use serde::{Deserialize, Serialize};
 
@@ -58,6 +58,11 @@ pub struct Row {
     pub size: [u32; 2],
 }
 
+/// Path of the depth map of a view.
+pub fn map_of(view: &str, level: u32) -> String {
+    format!("{view}/depth-L{level}.mvei")
+}
+
 impl Row {
     /// Its rank, and the content of the mark of its map.
     fn task(&self) -> (usize, &str) {
@@ -66,7 +71,7 @@ impl Row {
 
     /// Path of the depth map.
     pub fn map(&self) -> String {
-        format!("{}/depth-L{}.mvei", self.view, self.level)
+        map_of(&self.view, self.level)
     }
 
     /// Path of the picture at the size of the map, which scene2pset takes colours from; `None` at
@@ -75,18 +80,15 @@ impl Row {
         (self.level > 0).then(|| format!("{}/undist-L{}.png", self.view, self.level))
     }
 
-    /// What dmrecon writes of the view; the depth map is last, since it says that all is there.
+    /// Files that dmrecon writes for the view. The depth map comes last: once it is in place, all is.
     fn made(&self) -> impl Iterator<Item = String> {
         self.reduced_picture().into_iter().chain([self.map()])
     }
 }
 
 impl Run {
-    fn finished<'a>(&'a self, call: &'a Call) -> impl Iterator<Item = &'a Row> {
-        let ranks: BTreeSet<usize> = call.finished.iter().copied().collect();
-        self.maps
-            .iter()
-            .filter(move |row| ranks.contains(&row.rank))
+    fn finished(&self, call: &Call) -> impl Iterator<Item = &Row> {
+        self.maps.iter().filter(|row| call.is_finished(row.rank))
     }
 
     /// The clouds of the finished maps, with the level of their maps.
@@ -185,7 +187,7 @@ pub fn finish(call: &Call) -> Result<(), String> {
                 if made.iter().any(|(made, _)| *made == cloud) {
                     call.place(cloud)?;
                 } else {
-                    // One of another plan would stand beside the new one.
+                    // It would be mistaken for part of the new result.
                     output::remove(&call.workplace.join(cloud), &call.disk()).map_err(text)?;
                 }
             }

@@ -172,10 +172,9 @@ impl Run {
     }
 
     /// Rows of the finished maps, with their indices.
-    pub fn finished<'a>(&'a self, call: &'a Call) -> impl Iterator<Item = (usize, &'a Row)> {
-        let ranks: BTreeSet<usize> = call.finished.iter().copied().collect();
+    pub fn finished(&self, call: &Call) -> impl Iterator<Item = (usize, &Row)> {
         let rows = self.clusters.iter().enumerate();
-        rows.filter(move |(_, row)| ranks.contains(&row.rank))
+        rows.filter(|(_, row)| call.is_finished(row.rank))
     }
 }
 

@@ -253,8 +253,8 @@ pub fn planned_ground(project: &Project, settings: &Settings) -> Option<GroundSu
     ground.filter(|ground| ground.needed > 0)
 }
 
-/// Returns the project's workspace of undistorted images if its plan is that of the project: the
-/// project has none itself, or one for a program that needs undistorted images, which computes in
+/// Returns the workspace of undistorted images whose plan counts for the project: where the project
+/// has no plan of its own, or one for a program that needs undistorted images and therefore works in
 /// the workspace.
 pub fn planned_workspace(project: &Project) -> Option<PathBuf> {
     let dense = project.dense_workspace.clone();

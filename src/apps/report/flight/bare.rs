@@ -54,7 +54,7 @@ pub struct BareGround {
 }
 
 impl BareGround {
-    /// What it lacks.
+    /// The shortage, in words.
     pub fn missing(&self, needed: u32) -> String {
         format!("bare ground: fewer photographs show it finely enough than the {needed} needed")
     }

@@ -63,7 +63,7 @@ pub struct Flight {
     pub spacing: Option<[f64; 2]>,
 }
 
-/// What images straight down are planned by.
+/// The data that nadir images are planned from.
 #[derive(Clone, Copy)]
 pub struct Site<'a> {
     pub scene: &'a Scene,
