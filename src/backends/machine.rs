@@ -6,7 +6,7 @@ use std::{
     process::{Command, Stdio},
 };
 
-use super::{BACKENDS, Backend, alicevision, colmap, mve, openmvs, sgm};
+use super::{BACKENDS, Backend, colmap, openmvs, sgm};
 use crate::{base::platform, config::Settings, config::UnknownBackend, io::project::Project};
 
 /// How the backend came to be chosen.
@@ -70,7 +70,11 @@ pub fn by_default(project: &Project) -> (&'static Backend, Choice) {
 }
 
 fn densify() -> Option<PathBuf> {
-    installed("DENSIFY", "DensifyPointCloud")
+    openmvs::BACKEND.task_program?.installed()
+}
+
+fn colmap() -> Option<PathBuf> {
+    colmap::BACKEND.task_program?.installed()
 }
 
 /// Returns COLMAP if it can match: its dense stereo needs CUDA, or HIP since 4.2.
@@ -80,7 +84,7 @@ fn colmap_with_gpu() -> Option<PathBuf> {
             .iter()
             .any(|gpu| help.contains(gpu))
     };
-    installed("COLMAP", "colmap").filter(|program| help(program).is_some_and(can_match))
+    colmap().filter(|program| help(program).is_some_and(can_match))
 }
 
 /// Version of a program: major, minor, patch.
@@ -96,7 +100,7 @@ impl fmt::Display for Version {
 
 /// Returns the version of the installed COLMAP; `None` without one, or if it isn't a release.
 pub(super) fn colmap_version() -> Option<Version> {
-    release(&help(&installed("COLMAP", "colmap")?)?)
+    release(&help(&colmap()?)?)
 }
 
 /// Parses the first line of `colmap help`: `COLMAP 3.8 -- ...`, `COLMAP 4.2.0 (Commit ...)`.
@@ -120,23 +124,15 @@ pub fn python() -> PathBuf {
     env::var_os("PYTHON").map_or_else(|| "python3".into(), PathBuf::from)
 }
 
-/// Returns the program that the environment variable names, else the one on the PATH.
-fn installed(variable: &str, program: &str) -> Option<PathBuf> {
-    let named = env::var_os(variable).and_then(|named| platform::located(Path::new(&named)));
-    named.or_else(|| platform::located(Path::new(program)))
-}
-
 /// Returns whether `viewrank run` would find what it needs to match with this backend.
 pub fn can_match_here(backend: &Backend) -> bool {
     match backend.name {
-        name if name == openmvs::BACKEND.name => densify().is_some(),
         name if name == colmap::BACKEND.name => colmap_with_gpu().is_some(),
-        name if name == mve::BACKEND.name => installed("DMRECON", "dmrecon").is_some(),
-        name if name == alicevision::BACKEND.name => {
-            installed("ALICEVISION", "aliceVision_depthMapEstimation").is_some()
-        }
         name if name == sgm::BACKEND.name => import_error(&python()).is_none(),
-        _ => false,
+        _ => {
+            let program = backend.task_program;
+            program.is_some_and(|program| program.installed().is_some())
+        }
     }
 }
 
@@ -176,7 +172,7 @@ pub fn not_ready(backend: &Backend, program: &Path, python: &Path) -> Option<Not
 /// installed, since the files may be for another machine.
 pub fn not_ready_here(backend: &Backend) -> Option<NotReady> {
     let is_colmap = backend.name == colmap::BACKEND.name;
-    let program = is_colmap.then(|| installed("COLMAP", "colmap"))??;
+    let program = is_colmap.then(colmap)??;
     not_ready(backend, &program, &python())
 }
 

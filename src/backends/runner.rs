@@ -2,6 +2,7 @@
 
 use std::{
     collections::BTreeMap,
+    env,
     ffi::{OsStr, OsString},
     fmt::Display,
     path::{Path, PathBuf},
@@ -115,13 +116,37 @@ impl<'a> Call<'a> {
     }
 }
 
+/// The program that computes depth maps one by one.
+#[derive(Clone, Copy, Debug)]
+pub struct TaskProgram {
+    /// Name on the PATH.
+    pub name: &'static str,
+    /// Environment variable that has the path, or the folder, of another. It is set for the
+    /// commands.
+    pub variable: &'static str,
+}
+
+impl TaskProgram {
+    /// The path of the program, if somebody names it or the folder that it is in.
+    pub fn in_folder(&self, named: PathBuf) -> PathBuf {
+        if named.is_dir() {
+            named.join(self.name)
+        } else {
+            named
+        }
+    }
+
+    /// Finds the program that the variable names, else the one on the PATH.
+    pub fn installed(&self) -> Option<PathBuf> {
+        let named = env::var_os(self.variable).map(|named| self.in_folder(named.into()));
+        let named = named.and_then(|named| platform::located(&named));
+        named.or_else(|| platform::located(Path::new(self.name)))
+    }
+}
+
 /// How the clusters of an export are computed one by one, and their depth maps fused.
 #[derive(Clone, Debug)]
 pub struct TaskRunner {
-    /// Name of the program on the PATH.
-    pub program: &'static str,
-    /// Environment variable that overrides the path, and is set for the commands.
-    pub variable: &'static str,
     /// Its commands need a Python, which the variable `PYTHON` may name.
     pub takes_python: bool,
     /// Makes ready what a task needs, and returns its commands, each run if the one before

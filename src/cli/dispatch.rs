@@ -257,11 +257,11 @@ impl Arguments {
     ) -> Result<Tools, DispatchError> {
         match Tools::find(dispatch, self.program.as_deref()) {
             Err(_) if !settings.setup.is_empty() && self.program.is_none() => {
-                Ok(Tools::unseen(dispatch.runner()))
+                Ok(Tools::unseen(dispatch))
             }
             Err(error) if self.dry_run => {
                 warn(&error.to_string());
-                Ok(Tools::unseen(dispatch.runner()))
+                Ok(Tools::unseen(dispatch))
             }
             found => found,
         }

@@ -75,7 +75,7 @@ def test_maps_and_cloud_are_as_good_as_its_own_choice(planned, net, views, sourc
         fused.append(f"{n}\n{len(pairs)} " + " ".join(f"{a} {b}" for a, b in pairs) + "\n")
     (out / "pair.txt").write_text(f"{len(fused)}\n" + "".join(fused))
     call([*base, "--output_type", "fusion"], net, PATH=path)
-    kept, own = masks(export / "fuse", ids.values()), masks(out / "depths", number.values())
+    kept, own = masks(export / "depths", ids.values()), masks(out / "depths", number.values())
     print(f"kept by the fusion: {100 * kept:.1f} % of the pixels as printed, {100 * own:.1f} % with its own numbers")
     assert kept >= own - 0.03
-    assert len(read_ply(export / "fuse/fused.ply")) > 0
+    assert len(read_ply(export / "depths/fused.ply")) > 0

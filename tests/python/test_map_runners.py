@@ -1,14 +1,15 @@
-"""Depth maps of MVE and AliceVision by `viewrank run`, with stubs of their programs: each is made in a folder of its own, and takes its place when it is what the plan asked for."""
+"""Depth maps of MVE, AliceVision and PatchmatchNet by `viewrank run`, with stubs of their programs: each is made in a folder of its own, and takes its place when it is what the plan asked for."""
 
 import fcntl
 import json
 import os
 import subprocess
 
+import numpy as np
 import pytest
 
 import test_colmap_runner
-from test_run_scripts import ALICEVISION, DMRECON, INTERPRETER, SCENE2PSET, plans  # noqa: F401 (a fixture)
+from test_run_scripts import ALICEVISION, DMRECON, EVAL, INTERPRETER, SCENE2PSET, plans  # noqa: F401 (a fixture)
 
 pytestmark = pytest.mark.usefixtures("without_pilot")
 
@@ -17,6 +18,8 @@ class Site(test_colmap_runner.Site):
     record = "run.json"
     # Names and texts of the programs that join the maps, and the file that the last of them writes.
     joining, made = {}, ""
+    # How many maps the program joins at least.
+    least = 1
 
     def __init__(self, *arguments):
         super().__init__(*arguments)
@@ -78,7 +81,36 @@ class AliceVision(Site):
         return {path.relative_to(self.export): path.read_bytes() for path in self.export.glob("depthMaps/*.exr")}
 
 
-@pytest.fixture(params=[Mve, AliceVision])
+class Net(Site):
+    backend, name, stand_in, made, least = "patchmatchnet", "eval.py", EVAL, "depths/fused.ply", 2
+
+    def __init__(self, *arguments):
+        super().__init__(*arguments)
+        (self.home / "checkpoints").mkdir()
+        (self.home / "checkpoints/params_000007.ckpt").write_text("weights")
+
+    def script(self):
+        environment = {"PATH": "/usr/bin:/bin", "PATCHMATCHNET": str(self.home), "CALLS": str(self.home / "calls")}
+        return subprocess.run([self.export / "run.sh"], env=environment, capture_output=True, text=True, cwd="/")
+
+    def keys(self):
+        return [str(row["partners"]["key"]) for row in self.rows]
+
+    def joined(self, *ranks):
+        there = {int(self.keys()[rank - 1]) for rank in ranks}
+        rows = (self.rows[rank - 1] for rank in ranks)
+        joined = [str(row["partners"]["key"]) for row in rows if there & {view for view, _ in row["compared"]["others"]}]
+        assert len(joined) > 1
+        return " ".join(["joined", *joined])
+
+    def map(self, rank):
+        return self.export / f"depths/depth_est/{int(self.keys()[rank - 1]):08}.pfm"
+
+    def maps(self):
+        return {path.relative_to(self.export): path.read_bytes() for path in self.export.glob("depths/depth_est/*.pfm")}
+
+
+@pytest.fixture(params=[Mve, AliceVision, Net])
 def site(tmp_path, viewrank, plans, request):  # noqa: F811
     site = request.param(tmp_path, viewrank, plans[4])
     site.plan("-k", "4", "--budget", "3")
@@ -121,27 +153,33 @@ def test_a_map_that_is_not_what_the_plan_asked_for_takes_no_place(site, fault):
 
 def test_an_unfinished_run_is_joined_from_the_maps_that_are_there(site):
     site.rank(3)
-    site.run("--fuse")
-    assert site.calls()[-1] == site.joined(3)
+    if site.least == 1:
+        site.run("--fuse")
+        assert site.calls()[-1] == site.joined(3)
+    else:
+        assert "nothing to join" in site.run("--fuse", expect=1).stderr
     site.rank(1)
     site.run("--fuse")
     assert site.calls()[-1] == site.joined(1, 3)
+    site.rank(2)
     site.map(1).unlink()
     site.run("--fuse")
-    assert site.calls()[-1] == site.joined(3)
+    assert site.calls()[-1] == site.joined(2, 3)
 
 
 @pytest.mark.parametrize("points", [None, 0], ids=["none", "empty"])
 def test_a_fusion_that_fails_leaves_the_cloud_of_before(site, points):
     site.rank(1)
+    site.rank(2)
     site.run("--fuse")
     before = site.cloud().read_bytes()
-    site.rank(2)
-    assert any(said in site.run("--fuse", expect=1, fusion=points).stderr for said in ("joined no points", "made no mesh.obj"))
+    site.rank(3)
+    assert any(said in site.run("--fuse", expect=1, fusion=points).stderr for said in ("joined no points", "made no mesh.obj", "fused no points"))
     assert site.cloud().read_bytes() == before and not site.left()
     site.run("--fuse")
 
 
+@pytest.mark.parametrize("site", [Mve, AliceVision], indirect=True)
 def test_without_the_programs_that_join_the_fusion_says_so(site):
     site.rank(1)
     [name, *_] = site.joining
@@ -177,6 +215,55 @@ def test_each_size_has_a_cloud_of_mve(tmp_path, viewrank, plans):  # noqa: F811
     assert site.calls(), "the map of half the size is of other partners, whatever was made at full size since"
 
 
+def test_patchmatchnet_s_script_computes_all_and_viewrank_knows_them(tmp_path, viewrank, plans):  # noqa: F811
+    site = Net(tmp_path, viewrank, plans[4])
+    site.plan("-k", "4", "--budget", "3")
+    site.rank(2)
+    site.calls()
+    assert site.script().returncode == 0
+    assert site.calls() == [*site.keys(), site.joined(1, 2, 3)]
+    for rank in (1, 2, 3):
+        assert "nothing to do" in site.rank(rank).stderr
+    # Without its weights it ends at once; what was marked before is computed again.
+    (site.home / "checkpoints/params_000007.ckpt").unlink()
+    assert site.script().returncode != 0
+    (site.home / "checkpoints/params_000007.ckpt").write_text("weights")
+    site.rank(1)
+    assert site.calls() == site.keys()[:1]
+
+
+def pfm(path):
+    """Rows from the lowest up."""
+    _, size, _, floats = path.read_bytes().split(b"\n", 3)
+    width, height = map(int, size.split())
+    return np.frombuffer(floats, "<f4").reshape(height, width)[::-1]
+
+
+def test_patchmatchnet_joins_maps_of_two_sizes_at_one(tmp_path, viewrank, plans):  # noqa: F811
+    site = Net(tmp_path, viewrank, plans["sizes"])
+    site.plan("-k", "4", "--scales", "1,0.5", "--budget", "40%", "--target", "100%")
+    sizes = {tuple(row["size"]) for row in site.rows}
+    [fused] = {tuple(row["fused_size"]) for row in site.rows}
+    assert len(sizes) == 2 and fused == max(sizes)
+    for row in site.rows:
+        site.rank(row["rank"])
+    half = next(row for row in site.rows if tuple(row["size"]) != fused)
+    width, height = half["size"]
+    values = np.arange(1, width * height + 1, dtype="<f4").reshape(height, width)
+    for kind in ("depth_est", "confidence"):
+        path = site.export / f"depths/{kind}/{half['partners']['key']:08}.pfm"
+        path.write_bytes(b"Pf\n%d %d\n-1.000000\n" % (width, height) + values[::-1].tobytes())
+    # The stand-in keeps what it was given.
+    kept = tmp_path / "kept"
+    source = site.program.read_text()
+    site.program.write_text(source.replace('note("joined"', f'os.system(f"cp -RL {{out}} {kept}"); note("joined"'))
+    site.run("--fuse")
+    copy = pfm(kept / f"depth_est/{half['partners']['key']:08}.pfm")
+    rows, columns = (np.arange(side) * of // side for side, of in zip(copy.shape, values.shape))
+    assert np.array_equal(copy, values[rows][:, columns]), "the nearest pixel at each place"
+    assert np.array_equal(pfm(path), values), "the map itself stays as it is"
+
+
 def test_maps_of_other_partners_are_made_anew_and_others_kept(site):
     for rank in (1, 2, 3):
         site.rank(rank)
@@ -201,6 +288,7 @@ def test_a_failed_task_leaves_what_viewrank_made_viewrank_s_own(site):
     assert not list(site.export.glob("**/*.before-viewrank"))
 
 
+@pytest.mark.parametrize("site", [Mve, AliceVision], indirect=True)
 def test_script_and_viewrank_know_each_other_s_maps(site):
     site.rank(2)
     left = site.export / "unfinished/0123456789abcdef"
@@ -232,6 +320,7 @@ def test_script_and_viewrank_do_not_compute_at_the_same_time(site):
     assert waiting.returncode == 0 and len(site.calls()) == 1
 
 
+@pytest.mark.parametrize("site", [Mve, AliceVision], indirect=True)
 def test_a_list_that_is_changed_meanwhile_is_not_followed(site, tmp_path):
     place = site.map(1).relative_to(site.export)
     (tmp_path / "outside").mkdir()

@@ -313,35 +313,10 @@ def test_a_link_of_the_export_that_leads_to_a_folder_is_refused(exported, tmp_pa
     assert done.returncode == 1 and f"images/{picture.name}" in done.stderr and not (exported.bin / "calls.jsonl").exists()
 
 
-# PatchmatchNet
-
-
-def test_planted_times_of_cameras_count_as_none(viewrank, plans, tmp_path):  # noqa: F811
-    net = Work(viewrank, plans, "patchmatchnet", tmp_path, {})
-    (net.folder / "fuse").mkdir(exist_ok=True)
-    for text in ("[]", DEEP, '{"1": 3}', '{"1": [[], {}]}'):
-        (net.folder / "fuse/seen.json").write_text(text)
-        done = subprocess.run([sys.executable, net.folder / "finished.py"], capture_output=True, text=True)
-        assert done.returncode == 1 and "nothing to join" in done.stderr and "Traceback" not in done.stderr, done.stderr
-    for name in ("fuse/seen.json", "sizes.txt", "pair_fuse.txt"):
-        for how in ODD:
-            kept = (net.folder / name).read_bytes()
-            put(net.folder / name, how)
-            done = subprocess.run([sys.executable, net.folder / "finished.py"], capture_output=True, text=True, timeout=20)
-            assert done.returncode == 1 and done.stderr.startswith("error: ") and name in done.stderr and len(done.stderr.splitlines()) == 1, done.stderr
-            (net.folder / name).unlink()
-            (net.folder / name).write_bytes(kept)
-    for kind in ("depth_est", "confidence"):
-        for view in (net.folder / "sizes.txt").read_text().splitlines():
-            put(net.folder / f"depths/{kind}/{int(view.split()[0]):08}.pfm", "long")
-    done = subprocess.run(["sh", "-c", 'ulimit -v 1000000; exec "$@"', "sh", sys.executable, net.folder / "finished.py"], capture_output=True, text=True, timeout=20)
-    assert done.returncode == 1 and "nothing to join" in done.stderr and "Traceback" not in done.stderr, done.stderr
-
-
 # Names of folders
 
 
-@pytest.mark.parametrize("script", ["openmvs/run.py", "openmvs/unscale.py", "mvsnet/finished.py", "realityscan/switch.py", "metashape/depth_maps.py",
+@pytest.mark.parametrize("script", ["openmvs/run.py", "openmvs/unscale.py", "realityscan/switch.py", "metashape/depth_maps.py",
                                     "sure/ground.py", "sgm/sgm.py"])
 def test_no_message_of_a_script_has_escape_sequences(tmp_path, script):
     """Nor does a traceback; the folder is a stranger's."""
@@ -362,7 +337,7 @@ def ended_in_a_line(script, folder, words, **options):
     assert "Traceback" not in done.stderr and "Exception" not in done.stderr, done.stderr[-2000:]
 
 
-@pytest.mark.parametrize("script", ["openmvs/run.py", "openmvs/unscale.py", "mvsnet/finished.py", "realityscan/switch.py", "metashape/depth_maps.py",
+@pytest.mark.parametrize("script", ["openmvs/run.py", "openmvs/unscale.py", "realityscan/switch.py", "metashape/depth_maps.py",
                                     "sure/ground.py", "sgm/sgm.py"])
 def test_no_script_ends_with_a_trace(tmp_path, script):
     """Whatever is in its files, however long its path is, and whoever reads what it says."""
@@ -386,7 +361,7 @@ def test_no_script_ends_with_a_trace(tmp_path, script):
     ended_in_a_line(script, tmp_path, [tmp_path / "a.ply", *WORDS.get(script, [])[1:]], preexec_fn=lambda: (os.chdir(gone), os.rmdir(gone)))
 
 
-@pytest.mark.parametrize("script", ["openmvs/run.py", "mvsnet/finished.py", "realityscan/switch.py", "sgm/sgm.py"])
+@pytest.mark.parametrize("script", ["openmvs/run.py", "realityscan/switch.py", "sgm/sgm.py"])
 def test_the_longest_path_is_no_trace(tmp_path, script):
     here = os.open(".", os.O_RDONLY)
     try:

@@ -13,7 +13,7 @@ pytestmark = pytest.mark.usefixtures("without_pilot")
 
 PROGRAM = os.path.abspath(os.environ.get("VIEWRANK", "target/debug/viewrank"))
 INTEGRATIONS = Path(__file__).parents[2] / "integrations"
-SCRIPTS = ["openmvs/run.py", "openmvs/unscale.py", "mvsnet/finished.py", "realityscan/switch.py", "metashape/depth_maps.py", "sure/ground.py"]
+SCRIPTS = ["openmvs/run.py", "openmvs/unscale.py", "realityscan/switch.py", "metashape/depth_maps.py", "sure/ground.py"]
 # These take their modules from their own folder.
 OF_A_FOLDER = ["sgm/sgm.py", "sgm/measure.py", "sgm/experiments.py"]
 

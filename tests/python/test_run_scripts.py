@@ -44,6 +44,11 @@ class Work:
             (self.bin / name).chmod(0o755)
         self.said = self.export(4)
 
+    def weights(self):
+        """Puts the file beside the program that PatchmatchNet's weights are in."""
+        (self.bin / "checkpoints").mkdir()
+        (self.bin / "checkpoints/params_000007.ckpt").write_text("weights")
+
     def export(self, partners, *options):
         """What the export says."""
         return self.viewrank("export", self.plans[partners], "--backend", self.backend, "--out", self.folder, *options).stdout
@@ -508,140 +513,64 @@ def test_micmac_tries_every_cluster(work, tmp_path):
     assert len(micmac.run(tmp_path / "Ori-a")[1]) == len(micmac.targets()), "other orientations, other maps"
 
 
-# PatchmatchNet's fusion
+# PatchmatchNet's eval.py, which is strict about the files of every view in its list. MADE: JSON of what is made otherwise.
+EVAL = """
+import json, os, struct, sys
+from pathlib import Path
+otherwise = json.loads(os.environ.get("MADE", "{}"))
+value = lambda option: sys.argv[sys.argv.index(option) + 1]
+source, out = Path(value("--input_folder")), Path(value("--output_folder"))
+export = next(folder for folder in (source, *source.parents) if (folder / "run.json").exists())
+note = lambda *words: print(*words, file=open(os.environ.get("CALLS", export / "calls.txt"), "a"))
+assert Path(value("--checkpoint_path")).is_file()
+lines = (source / "pair.txt").read_text().splitlines()
+pairs = {int(key): [int(view) for view in line.split()[1::2]] for key, line in zip(lines[1::2], lines[2::2])}
+assert len(pairs) == int(lines[0])
+pairs = {key: others for key, others in pairs.items() if others}
+views = {view for key, others in pairs.items() for view in (key, *others)}
+for view in views:
+    assert (source / f"images/{view:08}.jpg").is_file() and (source / f"cams/{view:08}_cam.txt").read_text().startswith("extrinsic")
+run = json.loads((export / "run.json").read_text())
+rows = {row["partners"]["key"]: row for row in run["maps"]}
+longest = int(value("--image_max_dim")) if "--image_max_dim" in sys.argv else None
+files = lambda view: [out / f"{kind}/{view:08}.pfm" for kind in ("depth_est", "confidence")]
+if value("--output_type") == "depth":
+    for key, others in pairs.items():
+        row = rows[key]
+        assert len(others) <= int(value("--num_views")) and longest == row["longest"]
+        width, height = otherwise.get("size", row["size"])
+        for path in files(key):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            made = b"Pf\\n%d %d\\n-1.000000\\n" % (width, height) + struct.pack("<f", otherwise.get("depth", 1)) * (width * height)
+            if "map" not in otherwise or otherwise["map"]:
+                path.write_bytes(made[: otherwise.get("map")])
+        note(key)
+    os.system(os.environ.get("DURING", "true"))
+else:
+    assert longest == run["fused_at"] and int(value("--geo_mask_thres")) == 1
+    for view in views:
+        width, height = rows[view]["fused_size"]
+        for path in files(view):
+            head, size, _, floats = path.read_bytes().split(b"\\n", 3)
+            assert (head, size, len(floats)) == (b"Pf", b"%d %d" % (width, height), 4 * width * height), path
+    note("joined", *pairs)
+    if otherwise.get("fusion", 3) is not None:
+        (out / "fused.ply").open("x" if "MADE" in os.environ else "w").write("ply\\nformat ascii 1.0\\nelement vertex %d\\nproperty float x\\nend_header\\n" % otherwise.get("fusion", 3))
+"""
 
 
-def pfm(path, width=3, height=2, values=None):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(f"Pf\n{width} {height}\n-1.000000\n".encode() + (bytes(4 * width * height) if values is None else values.astype("<f4").tobytes()))
-
-
-class Net(Work):
-    """An export for PatchmatchNet with maps as the program writes them."""
-
-    def sizes(self):
-        """Width and height of the map of each key view in the size in which maps are fused, then in the other."""
-        rows = (list(map(int, line.split())) for line in (self.folder / "sizes.txt").read_text().splitlines())
-        return {key: [(a, b), (c, d)] for key, a, b, c, d in rows}
-
-    def maps(self, key, size=None):
-        width, height = size or self.sizes()[key][0]
-        values = np.arange(width * height, dtype=float).reshape(height, width)
-        for kind in ("depth_est", "confidence"):
-            pfm(self.folder / f"depths/{kind}/{key:08}.pfm", width, height, values)
-        return values
-
-    def finished(self):
-        return subprocess.run([sys.executable, "finished.py"], cwd=self.folder, capture_output=True, text=True)
-
-    def lists(self):
-        lines = (self.folder / "fuse/pair.txt").read_text().splitlines()
-        return {int(key): [int(word) for word in line.split()[1::2]] for key, line in zip(lines[1::2], lines[2::2])}
-
-
-def test_patchmatchnet_joins_the_maps_that_are_complete(viewrank, plans, tmp_path):
-    """eval.py opens the maps of every view in the list, and ends at the first that is missing."""
-    net = Net(viewrank, plans, "patchmatchnet", tmp_path, {})
-    keys = [int(target) for target in net.targets()]
-
-    def fused():
-        done = net.finished()
-        if done.returncode:
-            return done.stderr
-        lines = (net.folder / "fuse/pair.txt").read_text().splitlines()
-        assert len(net.lists()) == int(lines[0]) and all(len(line.split()) == 1 + 2 * int(line.split()[0]) for line in lines[2::2])
-        return net.lists()
-
-    assert "nothing to join" in fused()
-    for key in keys:
-        net.maps(key)
-    lists = fused()
-    assert set(lists) <= set(keys) and len(lists) > 2 and all(partner in keys for partners in lists.values() for partner in partners)
-    cameras = {path.name: path.read_text() for path in (net.folder / "fuse/cams").iterdir()}
-    assert cameras == {f"{key:08}_cam.txt": (net.folder / f"cams/{key:08}_cam.txt").read_text() for key in keys}
-    assert all((net.folder / f"fuse/images/{key:08}.jpg").samefile(net.folder / f"images/{key:08}.jpg") for key in keys)
-    lost = next(iter(lists))
-    confidence = net.folder / f"depths/confidence/{lost:08}.pfm"
-    confidence.write_bytes(confidence.read_bytes()[:-1])
-    left = fused()
-    assert lost not in left and all(lost not in partners for partners in left.values()) and set(left) <= set(lists) - {lost}
-
-
-def test_patchmatchnet_fuses_maps_of_half_the_size_in_full_size(viewrank, plans, tmp_path):
-    net = Net(viewrank, plans, "patchmatchnet", tmp_path, {})
-    net.export("sizes")
-    sizes, halves = net.sizes(), {int(key) for key in net.halves()}
-    keys = [int(key) for key in net.targets()]
-    assert list(sizes) == keys
-    full, half = (next(key for key in keys if (key in halves) == is_half) for is_half in (False, True))
-    values = {key: net.maps(key, sizes[key][key in halves]) for key in keys}
+def test_patchmatchnet_computes_all_and_joins_them(work):
+    net = work("patchmatchnet", {"eval.py": EVAL})
+    net.weights()
+    keys = net.targets()
+    joined = lambda: " ".join(["joined", *(lines[0] for lines in zip(*[iter((net.folder / "fuse/pair.txt").read_text().splitlines()[1:])] * 2) if lines[1].split()[1:])])
     for _ in range(2):
-        done = net.finished()
-        assert done.returncode == 0 and not done.stderr, done.stderr
-        for kind in ("depth_est", "confidence"):
-            copies = {key: net.folder / f"fuse/{kind}/{key:08}.pfm" for key in (full, half)}
-            assert copies[full].read_bytes() == (net.folder / f"depths/{kind}/{full:08}.pfm").read_bytes()
-            assert not copies[half].samefile(net.folder / f"depths/{kind}/{half:08}.pfm"), "a copy: the map itself stays as it is"
-            assert_resized(copies[half], values[half], sizes[half][0])
-
-
-def assert_resized(path, values, size):
-    """Rows of a PFM are stored from the lowest up."""
-    wide, high = size
-    head = b"Pf\n%d %d\n-1.000000\n" % (wide, high)
-    data = path.read_bytes()
-    assert data.startswith(head)
-    copy = np.frombuffer(data[len(head) :], "<f4").reshape(high, wide)[::-1]
-    there = values[::-1]
-    for row, column in [(0, 0), (1, 1), (2, 3), (high // 2, wide // 3), (high - 1, wide - 1)]:
-        assert copy[row, column] == there[row * len(there) // high, column * there.shape[1] // wide]
-
-
-def test_patchmatchnet_joins_maps_of_an_earlier_plan_that_have_a_size_of_this_one(viewrank, plans, tmp_path):
-    """Whichever of the two the key view has now; others would end the fusion, or be taken for another part of the image."""
-    net = Net(viewrank, plans, "patchmatchnet", tmp_path, {})
+        done, calls = net.run(PATCHMATCHNET=str(net.bin))
+        assert done.returncode == 0 and calls == [*keys, joined()], done.stderr
+    done, calls = net.run()
+    assert done.returncode != 0 and "PATCHMATCHNET" in done.stderr and not calls
     net.export("sizes")
-    both, keys = net.sizes(), [int(key) for key in net.targets()]
-    values = {key: net.maps(key, both[key][key in keys[::2]]) for key in keys}
-    assert net.finished().returncode == 0
-    everything = net.lists()
-
-    net.export(4)
-    planned, later = net.sizes(), [int(key) for key in net.targets()]
-    stale, *fine = [key for key in later if key in keys and key in everything]
-    net.maps(stale, (7, 5))
-    done = net.finished()
-    assert done.returncode == 0 and f"of views {stale};" in done.stderr
-    assert stale not in net.lists()
-    resized = [key for key in fine if key in keys[::2]]
-    assert resized and planned == {key: both.get(key, planned[key]) for key in planned}
-    for key in resized:
-        assert_resized(net.folder / f"fuse/depth_est/{key:08}.pfm", values[key], planned[key][0])
-
-    net.maps(stale)
-    done = net.finished()
-    assert done.returncode == 0 and not done.stderr and stale in net.lists(), "computed again"
-
-    # Of another model: the map is the same file, but its camera is not.
-    camera = net.folder / f"cams/{stale:08}_cam.txt"
-    camera.write_text(camera.read_text().replace("extrinsic\n", "extrinsic\n1"))
-    done = net.finished()
-    assert done.returncode == 0 and f"whose cameras have changed, of views {stale};" in done.stderr and stale not in net.lists()
-    path = net.folder / f"depths/depth_est/{stale:08}.pfm"
-    os.utime(path, ns=(0, path.stat().st_mtime_ns + 10**9))
-    assert net.finished().stderr == "" and stale in net.lists(), "computed again"
-
-    # A list of another form is none.
-    for text in ("5", '{"1": 5}'):
-        (net.folder / "fuse/seen.json").write_text(text)
-        assert net.finished().returncode == 0
-
-    # A copy follows its map, whatever time that has.
-    key = resized[0]
-    path = net.folder / f"depths/depth_est/{key:08}.pfm"
-    values[key] += 1
-    size = (values[key].shape[1], values[key].shape[0])
-    pfm(path, *size, values[key])
-    os.utime(path, ns=(0, 10**9))
-    assert net.finished().returncode == 0
-    assert_resized(net.folder / f"fuse/depth_est/{key:08}.pfm", values[key], planned[key][0])
+    halves = net.halves()
+    done, calls = net.run(PATCHMATCHNET=str(net.bin))
+    assert done.returncode == 0 and "viewrank run PROJECT --fuse joins them" in done.stdout, done.stderr
+    assert calls == sorted(net.targets(), key=lambda key: (key in halves, net.targets().index(key)))

@@ -11,25 +11,9 @@ import pytest
 
 from conftest import LONG
 from test_openmvs_runner import STAND_IN
-from test_run_scripts import ALICEVISION, COLMAP, DMRECON, FAILING, GIPUMA, INTERPRETER, SCENE2PSET, Work, plans  # noqa: F401 (a fixture)
+from test_run_scripts import ALICEVISION, COLMAP, DMRECON, EVAL, FAILING, GIPUMA, INTERPRETER, SCENE2PSET, Work, plans  # noqa: F401 (a fixture)
 
 pytestmark = pytest.mark.usefixtures("without_pilot")
-
-# PatchmatchNet's eval.py, in the place of the Python that runs it.
-EVAL = """#!PYTHON
-import sys
-from pathlib import Path
-value = lambda option: sys.argv[sys.argv.index(option) + 1]
-source, out = Path(value("--input_folder")), Path(value("--output_folder"))
-if value("--output_type") == "depth":
-    for line in (source / "sizes.txt").read_text().splitlines():
-        view, width, height, *_ = map(int, line.split())
-        for kind in ("depth_est", "confidence"):
-            (out / kind).mkdir(parents=True, exist_ok=True)
-            (out / kind / f"{view:08}.pfm").write_bytes(b"Pf\\n%d %d\\n-1.0\\n" % (width, height) + bytes(4 * width * height))
-else:
-    (out / "fused.ply").write_text("points")
-"""
 
 ACMM = "#!/bin/sh\nmkdir -p ACMM/2333_00000000 && echo depths > ACMM/2333_00000000/depths.dmb\n"
 PMVS = "#!/bin/sh\necho points > models/option-viewrank.ply\n"
@@ -48,8 +32,7 @@ CASES = {
     "openmvs": ({"densify": STAND_IN.format(python=sys.executable)}, ["run.py", "--densify", "densify"],
                 ["unfinished", "unfinished/0001", "unfinished/0001/dense.ply", "fusing.mvs", "fusing.ply", "depth0001.dmap"]),
     "pmvs": ({"pmvs2": PMVS}, ["run.sh"], ["models/option-viewrank.ply"]),
-    "patchmatchnet": ({"python": EVAL}, ["run.sh"],
-                      ["fuse/seen.json.part", "fuse/pair.txt.part", "fuse/depth_est/00000001.pfm", "fuse/confidence/00000001.pfm.part"]),
+    "patchmatchnet": ({"eval.py": EVAL}, ["run.sh"], ["done/0123456789abcdef", "depths/depth_est/00000099.pfm", "depths/fused.ply"]),
 }
 
 
@@ -60,6 +43,7 @@ class Place:
         programs, (self.script, *self.words), self.passing = CASES[case]
         (folder / "export").mkdir()
         self.work = Work(viewrank, plans, case.split()[0], folder / "export", programs)
+        self.work.weights()
         self.folder, self.outside = self.work.folder, folder / "outside"
         (self.outside / "docs").mkdir(parents=True)
         (self.outside / "docs/thesis.tex").write_text("years of work")

@@ -23,8 +23,8 @@ use tempfile::TempDir;
 
 use crate::{
     backends::{
-        self, BACKENDS, Backend, BackendError, Export, Selection, TaskRunner, hash, task_ids,
-        task_marker,
+        self, BACKENDS, Backend, BackendError, Export, Selection, TaskProgram, TaskRunner, hash,
+        task_ids, task_marker,
     },
     base::{
         error::{Advice, Hint},
@@ -79,6 +79,7 @@ pub struct Dispatch {
     scripts: BTreeMap<String, Vec<u8>>,
     /// Lists of the export that its tasks follow, by name.
     lists: BTreeMap<String, Vec<u8>>,
+    program: TaskProgram,
     runner: TaskRunner,
 }
 
@@ -95,25 +96,26 @@ impl Tools {
     /// Resolves the program: the one given, else the one in the runner's variable, else the one
     /// that comes with the export, else the one on the PATH. Python: `PYTHON`, else `python3`.
     pub fn find(dispatch: &Dispatch, named: Option<&Path>) -> Result<Self, DispatchError> {
-        let runner = &dispatch.runner;
-        let variable = env::var_os(runner.variable).map(PathBuf::from);
-        let wanted = named.map(Path::to_path_buf).or(variable);
-        if wanted.is_none() && dispatch.scripts.contains_key(runner.program) {
+        let TaskProgram { name, variable } = dispatch.program;
+        let set = env::var_os(variable).map(PathBuf::from);
+        let wanted = named.map(Path::to_path_buf).or(set);
+        if wanted.is_none() && dispatch.scripts.contains_key(name) {
             return Self::of_export(dispatch).map_err(|source| DispatchError::Start {
-                program: runner.program.into(),
+                program: name.into(),
                 source,
             });
         }
-        let wanted = wanted.unwrap_or_else(|| runner.program.into());
+        let wanted = wanted.unwrap_or_else(|| name.into());
+        let wanted = dispatch.program.in_folder(wanted);
         let typed = named.filter(|path| path.is_file()).map(absolute);
         let program = typed.or_else(|| platform::located(&wanted).map(|found| absolute(&found)));
         let program = program.ok_or(DispatchError::Program {
             program: wanted,
-            variable: runner.variable,
+            variable,
         })?;
         Ok(Self {
             program,
-            ..Self::unseen(runner)
+            ..Self::unseen(dispatch)
         })
     }
 
@@ -125,14 +127,14 @@ impl Tools {
             fs::write(folder.path().join(name), script)?;
         }
         Ok(Self {
-            program: folder.path().join(dispatch.runner.program),
+            program: folder.path().join(dispatch.program.name),
             copied: Some(Arc::new(folder)),
-            ..Self::unseen(&dispatch.runner)
+            ..Self::unseen(dispatch)
         })
     }
 
     /// Programs that exist only on the nodes.
-    pub fn unseen(runner: &TaskRunner) -> Self {
+    pub fn unseen(dispatch: &Dispatch) -> Self {
         let python = backends::python();
         // It is run from another folder.
         let python = if python.components().count() > 1 {
@@ -141,7 +143,7 @@ impl Tools {
             python
         };
         Self {
-            program: runner.program.into(),
+            program: dispatch.program.name.into(),
             python,
             copied: None,
         }
@@ -179,8 +181,8 @@ impl Dispatch {
     ) -> Result<Self, DispatchError> {
         let selection = &backend.at_its_size(selection);
         let project = absolute(&selection.project.home);
-        let runner =
-            (backend.tasks)(selection, export).ok_or(DispatchError::NoTasks(backend.name))?;
+        let tasks = backend.task_program.zip((backend.tasks)(selection, export));
+        let (program, runner) = tasks.ok_or(DispatchError::NoTasks(backend.name))?;
         let task = |(i, cluster): (usize, &RankedCluster)| {
             let map = runner.maps[i].clone()?;
             let key = selection.scene.name(cluster.key);
@@ -224,6 +226,7 @@ impl Dispatch {
             image_scale: export.record.image_scale,
             scripts: scripts(&export.files),
             lists,
+            program,
             runner,
         })
     }

@@ -233,7 +233,7 @@ impl Dispatch {
         let mut command = platform::command(Path::new(&words[0])).map_err(not_started(words))?;
         command
             .args(&words[1..])
-            .env(self.runner.variable, &runner.tools.program)
+            .env(self.program.variable, &runner.tools.program)
             .stdin(Stdio::null())
             // The current folder may be a stranger's.
             .current_dir("/");

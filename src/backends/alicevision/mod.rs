@@ -16,7 +16,7 @@ use self::{
 };
 use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, LastRun,
-    PATCH_MATCH, Selection, TaskRunner,
+    PATCH_MATCH, Selection, TaskProgram, TaskRunner,
     clusters::{map_script, task_ids},
     runner::is_not_empty,
     selection,
@@ -49,6 +49,10 @@ pub static BACKEND: Backend = Backend {
     planning: PATCH_MATCH,
     // `--downscale` is 2 by default.
     own_scale: |_| 0.5,
+    task_program: Some(TaskProgram {
+        name: "aliceVision_depthMapEstimation",
+        variable: "ALICEVISION",
+    }),
     tasks: |selection, export| Some(tasks(selection, export)),
     export,
     ..Backend::DEFAULT
@@ -59,8 +63,6 @@ fn tasks(selection: &Selection, export: &Export) -> TaskRunner {
     let image_id = |cluster: &RankedCluster| selection.scene.view(cluster.key).image_id;
     let map = |cluster| Some(root.join(run::map_of(image_id(cluster))));
     TaskRunner {
-        program: "aliceVision_depthMapEstimation",
-        variable: "ALICEVISION",
         takes_python: false,
         commands: run::commands,
         // EXR files are renamed when they are complete.

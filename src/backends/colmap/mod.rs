@@ -27,7 +27,8 @@ use self::{
 };
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
-    Honours, LastRun, PATCH_MATCH, PlanningNumbers, References, Selection, TaskRunner, Trap,
+    Honours, LastRun, PATCH_MATCH, PlanningNumbers, References, Selection, TaskProgram, TaskRunner,
+    Trap,
     clusters::task_ids,
     record::{at_full_size, capped_scale},
     selection,
@@ -97,6 +98,10 @@ pub static BACKEND: Backend = Backend {
         let is_itself = project.kind == ProjectKind::ColmapDense;
         is_itself || project.undistorted_workspace().is_some()
     },
+    task_program: Some(TaskProgram {
+        name: "colmap",
+        variable: "COLMAP",
+    }),
     tasks,
     known_maps: marks::known,
     traps,
@@ -117,8 +122,6 @@ fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
         made.contains(name).then(|| export.files.root.join(path))
     };
     Some(TaskRunner {
-        program: "colmap",
-        variable: "COLMAP",
         takes_python: false,
         commands: run::commands,
         is_whole: run::is_whole,

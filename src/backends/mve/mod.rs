@@ -13,7 +13,7 @@ mod run;
 use self::run::{RUN, Row, Run};
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
-    Honours, LastRun, PATCH_MATCH, PlanningNumbers, Selection, TaskRunner, Trap,
+    Honours, LastRun, PATCH_MATCH, PlanningNumbers, Selection, TaskProgram, TaskRunner, Trap,
     clusters::{map_script, task_ids},
     selection,
     strangers::list_links,
@@ -64,6 +64,10 @@ pub static BACKEND: Backend = Backend {
     },
     own_scale,
     mixes_sizes: true,
+    task_program: Some(TaskProgram {
+        name: "dmrecon",
+        variable: "DMRECON",
+    }),
     tasks: |selection, export| Some(tasks(selection, export)),
     traps,
     export,
@@ -85,8 +89,6 @@ fn tasks(selection: &Selection, export: &Export) -> TaskRunner {
     };
     let clouds = joining(selection).into_iter();
     TaskRunner {
-        program: "dmrecon",
-        variable: "DMRECON",
         takes_python: false,
         commands: run::commands,
         is_whole: run::is_whole,

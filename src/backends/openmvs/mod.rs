@@ -15,8 +15,8 @@ use self::{
 };
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
-    Honours, LastRun, PlanningNumbers, Selection, TaskRunner, Trap, clusters::task_ids,
-    record::capped_scale, selection, strangers::list_links,
+    Honours, LastRun, PlanningNumbers, Selection, TaskProgram, TaskRunner, Trap,
+    clusters::task_ids, record::capped_scale, selection, strangers::list_links,
 };
 use crate::{
     base::{printable::to_json, shell::command_path},
@@ -110,6 +110,10 @@ pub static BACKEND: Backend = Backend {
     own_scale,
     mixes_sizes: true,
     serves: |project| project.kind == ProjectKind::OpenMvs,
+    task_program: Some(TaskProgram {
+        name: "DensifyPointCloud",
+        variable: "DENSIFY",
+    }),
     tasks,
     traps,
     export,
@@ -125,8 +129,6 @@ fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
         )))
     };
     Some(TaskRunner {
-        program: "DensifyPointCloud",
-        variable: "DENSIFY",
         takes_python: false,
         commands: run::commands,
         is_whole: WholeMap::is_there,

@@ -1,7 +1,11 @@
 //! The dialects of MVSNet's files, each a backend.
 
-use super::super::{
-    Backend, Capabilities, ExaminedProject, Honours, LastRun, PATCH_MATCH, PlanningNumbers, Trap,
+use super::{
+    super::{
+        Backend, Capabilities, ExaminedProject, Honours, LastRun, PATCH_MATCH, PlanningNumbers,
+        Trap,
+    },
+    run,
 };
 use crate::method::confidence::Photometric;
 
@@ -19,17 +23,9 @@ pub(super) struct Dialect {
     /// (partners and key view), PARTNERS, WIDTH and HEIGHT (no image is smaller), SIZE
     /// (PatchmatchNet's option where images are reduced).
     pub depth: Option<&'static str>,
-    /// Joins the maps; `None` where the program does that by a command of its own, of one size
-    /// only.
-    pub join: Option<Join>,
-}
-
-/// How a program joins depth maps, of two sizes too.
-pub(super) struct Join {
-    /// With AGREEING (partners that must agree), SIZE. They leave `fuse/fused.ply`.
-    pub commands: &'static [&'static str],
-    /// Name and contents of the script that the commands call.
-    pub script: (&'static str, &'static str),
+    /// Joins the maps of the list in `fuse/`, all of one size; `None` if the command above does. With
+    /// AGREEING (partners that must agree), SIZE.
+    pub fusion: Option<&'static str>,
 }
 
 /// Form of the last line of a camera file.
@@ -61,7 +57,7 @@ const PAIRS_DIALECT: Dialect = Dialect {
     all_are_problems: false,
     tuples: true,
     depth: None,
-    join: None,
+    fusion: None,
 };
 
 pub static MVSNET: Backend = Backend {
@@ -101,7 +97,7 @@ pub static PATCHMATCHNET: Backend = Backend {
         what: "maps and fusion",
     },
     capabilities: Capabilities {
-        notes: "its own filter opens the maps of all views in its list: finished.py makes fuse/, with those that have one",
+        notes: "its filter opens the maps of all views in its list: viewrank run gives it those that are finished, all at one size",
         ..CAPABILITIES
     },
     planning: PlanningNumbers {
@@ -116,6 +112,8 @@ pub static PATCHMATCHNET: Backend = Backend {
         ..PATCH_MATCH
     },
     mixes_sizes: true,
+    task_program: Some(run::PROGRAM),
+    tasks: |selection, export| Some(run::tasks(selection, export)),
     export: |selection, options| PATCHMATCHNET_DIALECT.export(selection, options),
     ..MVSNET
 };
@@ -125,20 +123,13 @@ const PATCHMATCHNET_DIALECT: Dialect = Dialect {
     made_for: "PatchmatchNet and readers of its two-number depth line",
     depths: DepthLine::Range,
     depth: Some(
-        "(here=$PWD && cd \"${PATCHMATCHNET:?its folder}\" && python eval.py --input_folder \"$hereINPUT\" --output_folder \"$here/depths\" \
+        "(here=$PWD && cd \"${PATCHMATCHNET:?its folder}\" && \"${PYTHON:-python3}\" eval.py --input_folder \"$hereINPUT\" --output_folder \"$here/depths\" \
             --checkpoint_path \"${CHECKPOINT:-checkpoints/params_000007.ckpt}\" --num_views PARTNERSSIZE --output_type depth)",
     ),
-    join: Some(Join {
-        commands: &[
-            "python3 -I finished.py",
-            "(here=$PWD && cd \"$PATCHMATCHNET\" && python eval.py --input_folder \"$here/fuse\" --output_folder \"$here/fuse\" \
-             --checkpoint_path \"${CHECKPOINT:-checkpoints/params_000007.ckpt}\" --output_type fusion --geo_mask_thres AGREEINGSIZE)",
-        ],
-        script: (
-            "finished.py",
-            include_str!("../../../integrations/mvsnet/finished.py"),
-        ),
-    }),
+    fusion: Some(
+        "(here=$PWD && cd \"$PATCHMATCHNET\" && \"${PYTHON:-python3}\" eval.py --input_folder \"$here/fuse\" --output_folder \"$here/depths\" \
+            --checkpoint_path \"${CHECKPOINT:-checkpoints/params_000007.ckpt}\" --output_type fusion --geo_mask_thres AGREEINGSIZE)",
+    ),
     ..MVSNET_DIALECT
 };
 

@@ -2,6 +2,8 @@
 
 use std::collections::BTreeSet;
 
+use serde::{Deserialize, Serialize};
+
 use super::{ACM_PARTNERS, dialects::Dialect};
 use crate::{
     backends::{
@@ -14,6 +16,26 @@ use crate::{
     },
 };
 
+/// A key view and others, best first, each with the number of points that they share; views by their
+/// numbers in the files.
+#[derive(Clone, Serialize, Deserialize)]
+pub(super) struct Entry {
+    pub key: u32,
+    pub others: Vec<(u32, u32)>,
+}
+
+/// Returns `pair.txt` with these entries.
+pub(super) fn pair_file(entries: &[Entry]) -> String {
+    let mut text = format!("{}\n", entries.len());
+    for Entry { key, others } in entries {
+        text += &format!("{key}\n{} ", others.len());
+        let other = |(view, shared): &(u32, u32)| format!("{view} {shared} ");
+        text.extend(others.iter().map(other));
+        text.push('\n');
+    }
+    text
+}
+
 /// Lists of views (positions in `views`) and of the number of points they share with each.
 pub(super) struct Lists<'a> {
     pub views: &'a [ViewIndex],
@@ -24,7 +46,8 @@ pub(super) struct Lists<'a> {
     /// Partners of each view that gets a map, key views first.
     pub rows: Vec<Vec<(u32, u32)>>,
     /// For each key view those whose maps may confirm its depths, best first: not only partners,
-    /// since key views are chosen to overlap little. A script that joins takes those with a map.
+    /// since key views are chosen to overlap little. With a [fusion](Dialect::fusion), enough of them
+    /// for any number of first maps.
     compared: Vec<Vec<(u32, u32)>>,
 }
 
@@ -75,7 +98,7 @@ impl<'a> Lists<'a> {
         let key_rows = |(i, cluster): (usize, &RankedCluster)| {
             let shared = shared_with(cluster.key);
             let mut compared = shared.most(keys, keys.len());
-            if dialect.join.is_some() {
+            if dialect.fusion.is_some() {
                 retain_fused(&mut compared, i);
             } else {
                 compared.truncate(FUSED_WITH);
@@ -108,11 +131,26 @@ impl<'a> Lists<'a> {
 
     /// `pair.txt` with the lists of these key views (positions).
     pub fn pairs(&self, keys: &[usize]) -> String {
-        self.text(
-            keys.iter()
-                .filter_map(|&i| Some((i, self.rows.get(i)?.clone())))
-                .collect(),
-        )
+        let listed = keys.iter().filter(|&&i| i < self.rows.len());
+        pair_file(&Vec::from_iter(listed.map(|&i| self.partners(i))))
+    }
+
+    /// The partners of a key view (position).
+    pub fn partners(&self, key: usize) -> Entry {
+        self.entry(key, &self.rows[key])
+    }
+
+    /// The key views whose maps may confirm the depths of one (position).
+    pub fn compared(&self, key: usize) -> Entry {
+        self.entry(key, &self.compared[key])
+    }
+
+    fn entry(&self, key: usize, row: &[(u32, u32)]) -> Entry {
+        let numbered = |&(view, shared): &(u32, u32)| (self.numbers[view as usize], shared);
+        Entry {
+            key: self.numbers[key],
+            others: row.iter().map(numbered).collect(),
+        }
     }
 
     /// `tuples.txt`: for each key view a line of the scan and model (as MVSAnywhere names a scan with
@@ -128,32 +166,13 @@ impl<'a> Lists<'a> {
         self.numbers.iter().zip(&self.rows).map(tuple).collect()
     }
 
-    /// `pair_fuse.txt`: for each of these key views those of them whose maps may confirm its
-    /// depths.
-    pub fn pairs_to_fuse(&self, keys: &[usize]) -> String {
-        let chosen: BTreeSet<usize> = keys.iter().copied().collect();
-        let among = |row: &[(u32, u32)]| {
-            row.iter()
-                .copied()
-                .filter(|(v, _)| chosen.contains(&(*v as usize)))
-                .collect()
+    /// `pair_fuse.txt`: for each key view those whose maps may confirm its depths, if all have one.
+    pub fn pairs_to_fuse(&self) -> String {
+        let first = |key| {
+            let mut entry = self.compared(key);
+            entry.others.truncate(FUSED_WITH);
+            entry
         };
-        self.text(
-            keys.iter()
-                .filter_map(|&i| Some((i, among(self.compared.get(i)?))))
-                .collect(),
-        )
-    }
-
-    fn text(&self, rows: Vec<(usize, Vec<(u32, u32)>)>) -> String {
-        let mut text = format!("{}\n", rows.len());
-        for (key, row) in rows {
-            text += &format!("{}\n{} ", self.numbers[key], row.len());
-            row.iter().for_each(|(view, score)| {
-                text += &format!("{} {score} ", self.numbers[*view as usize])
-            });
-            text.push('\n');
-        }
-        text
+        pair_file(&Vec::from_iter((0..self.compared.len()).map(first)))
     }
 }

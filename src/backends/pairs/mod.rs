@@ -5,16 +5,18 @@
 use std::collections::BTreeSet;
 
 use self::{
-    dialects::{DepthLine, Dialect, Join},
+    dialects::{DepthLine, Dialect},
     lists::Lists,
-    sizes::{Words, at_another_size, sizes},
+    run::Run,
+    sizes::{Words, at_another_size},
 };
 use super::{
     BackendError, Export, ExportOptions, ExportRecord, PATCH_MATCH, Selection, selection,
-    strangers::add_runner,
+    strangers::{add_runner, list_links},
 };
 use crate::{
-    io::output::FileSet,
+    base::printable::to_json,
+    io::output::{Contents, FileSet},
     model::{
         cluster::{MapScale, RankedCluster},
         scene::{ViewIndex, ViewPoints},
@@ -23,6 +25,7 @@ use crate::{
 
 mod dialects;
 mod lists;
+mod run;
 mod sizes;
 
 pub use dialects::{ACMM, MVSNET, PAIRS, PATCHMATCHNET};
@@ -41,6 +44,8 @@ impl Dialect {
         selection: &Selection,
         options: &ExportOptions,
     ) -> Result<Export, BackendError> {
+        // Ids of tasks are of the plan, not of a scene that was moved.
+        let ids = run::ids(selection);
         let near = selection.near_origin();
         let selection = &near.selection();
         let views = selection.keys_first();
@@ -50,7 +55,7 @@ impl Dialect {
         let (half, full): (Vec<usize>, Vec<usize>) =
             all.iter().partition(|&&i| self.is_half(selection, i));
         files.add_text("pair.txt", lists.pairs(&full));
-        files.add_text("pair_fuse.txt", lists.pairs_to_fuse(&all));
+        files.add_text("pair_fuse.txt", lists.pairs_to_fuse());
         self.add_views(&mut files, "", selection, &lists, &all)?;
         if !half.is_empty() {
             self.add_half(&mut files, selection, &lists, &half)?;
@@ -60,21 +65,20 @@ impl Dialect {
             files.add_text("tuples.txt", lists.tuples());
         }
         let mut record = self.record(selection, &lists);
-        if let Some(Join {
-            script: (name, script),
-            ..
-        }) = self.join
-        {
-            files.add_text(
-                "sizes.txt",
-                sizes(selection, &lists, self.fused_at(selection)),
-            );
-            files.add_script(name, script);
-            let keys: Vec<usize> = (0..selection.clusters.len()).collect();
-            self.add_views(&mut files, "fuse/", selection, &lists, &keys)?;
-        }
         record.moved(near.origin);
-        if !record.commands.is_empty() {
+        if self.fusion.is_some() {
+            let keys: Vec<usize> = (0..selection.clusters.len()).collect();
+            files.add_text("fuse/pair.txt", lists.pairs_to_fuse());
+            self.add_views(&mut files, "fuse/", selection, &lists, &keys)?;
+            for folder in run::FOLDERS {
+                files.add(folder, Contents::Folder);
+            }
+            let run = Run::new(selection, &lists, ids, self.fused_at(selection));
+            files.add_script("run.sh", run.script(selection, &record.commands));
+            files.add_text(run::RUN, to_json(&run));
+            record.runner = Some("run.sh".into());
+            list_links(&mut files);
+        } else if !record.commands.is_empty() {
             add_runner(&mut files, &mut record);
         }
         Ok(Export::new(files, record))
@@ -205,26 +209,25 @@ impl Dialect {
         }
     }
 
-    /// One command for the maps of each size, then those that join the maps.
+    /// One command for the maps of each size, then the one that joins them, if they have one size.
     fn commands(&self, selection: &Selection, lists: &Lists) -> Vec<String> {
         let at_half = (0..selection.clusters.len())
             .filter(|&i| self.is_half(selection, i))
             .count();
-        let words = |scale| Words::new(selection, lists, scale);
         let sizes = [
             (at_half < selection.clusters.len() || at_half == 0).then_some(MapScale::Full),
             (at_half > 0).then_some(MapScale::Half),
         ];
-        let of_each_size = sizes
-            .into_iter()
-            .flatten()
-            .zip(self.depth.into_iter().cycle())
-            .map(|(scale, depth)| words(scale).fill(depth));
-        let fused = words(self.fused_at(selection));
-        let joins = self.join.iter().flat_map(|join| join.commands);
-        of_each_size
-            .chain(joins.map(|command| fused.fill(command)))
-            .collect()
+        let sizes: Vec<MapScale> = sizes.into_iter().flatten().collect();
+        let fill = |&scale, command| Words::new(selection, lists, scale).fill(command);
+        let depth = sizes
+            .iter()
+            .filter_map(|scale| Some(fill(scale, self.depth?)));
+        let fusion = match &*sizes {
+            [scale] => self.fusion.map(|command| fill(scale, command)),
+            _ => None,
+        };
+        depth.chain(fusion).collect()
     }
 
     fn record(&self, selection: &Selection, lists: &Lists) -> ExportRecord {
@@ -248,8 +251,8 @@ impl Dialect {
              maps of a place",
             AGREEING + 1
         );
-        if self.join.is_some() {
-            record.fusion += "; the cloud is fuse/fused.ply";
+        if self.fusion.is_some() {
+            record.fusion += "; the cloud is depths/fused.ply";
             record
                 .not_honoured
                 .extend(at_another_size(selection, lists));

@@ -9,32 +9,19 @@ use crate::{
     },
 };
 
-/// Returns for each key view a line of its number, width and height of its map in the size in which
-/// maps are fused, and the same in the other size.
-pub(super) fn sizes(selection: &Selection, lists: &Lists, fused_at: MapScale) -> String {
-    let scales = match fused_at {
-        MapScale::Full => [MapScale::Full, MapScale::Half],
-        MapScale::Half => [MapScale::Half, MapScale::Full],
-    };
-    let longest = scales.map(|scale| longest(selection, lists, matched_scale(selection, scale)));
-    let line = |(number, cluster): (&u32, &RankedCluster)| {
-        let camera = selection.scene.camera_of(cluster.key);
-        let [[a, b], [c, d]] = longest.map(|longest| reduced(camera, longest));
-        format!("{number} {a} {b} {c} {d}\n")
-    };
-    lists
-        .numbers
-        .iter()
-        .zip(selection.clusters)
-        .map(line)
-        .collect()
-}
-
 /// Returns width and height of an image of the camera of which PatchmatchNet makes the longest side
 /// at most `longest`; it rounds down.
-fn reduced(camera: &Camera, longest: u32) -> [u32; 2] {
-    let scale = (f64::from(longest) / f64::from(camera.width.max(camera.height))).min(1.0);
-    [camera.width, camera.height].map(|side| (scale * f64::from(side)) as u32)
+pub(super) fn reduced(camera: &Camera, longest: Option<u32>) -> [u32; 2] {
+    let side = camera.width.max(camera.height);
+    let scale = longest.map_or(1.0, |longest| f64::from(longest) / f64::from(side));
+    [camera.width, camera.height].map(|side| (scale.min(1.0) * f64::from(side)) as u32)
+}
+
+/// Returns the longest side to which images are reduced to be matched or fused at this size, pixels;
+/// `None` at their own.
+pub(super) fn limit(selection: &Selection, lists: &Lists, scale: MapScale) -> Option<u32> {
+    let scale = matched_scale(selection, scale);
+    (scale < 1.0).then(|| longest(selection, lists, scale))
 }
 
 /// Matched size as a part of the image's.
@@ -89,7 +76,7 @@ impl Words {
         };
         let scaled = |side: Option<u32>| (f64::from(side.unwrap_or(0)) * size) as u32;
         let most = selection.most_partners();
-        let limit = || format!(" --image_max_dim {}", longest(selection, lists, size));
+        let limit = limit(selection, lists, scale).map(|side| format!(" --image_max_dim {side}"));
         Self([
             (
                 "INPUT",
@@ -110,7 +97,7 @@ impl Words {
                 scaled(sides(|camera| camera.height).min()).to_string(),
             ),
             ("AGREEING", AGREEING.to_string()),
-            ("SIZE", if size < 1.0 { limit() } else { String::new() }),
+            ("SIZE", limit.unwrap_or_default()),
         ])
     }
 

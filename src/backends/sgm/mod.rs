@@ -9,7 +9,8 @@ use nalgebra::Vector3;
 
 use super::{
     Backend, BackendError, Call, Capabilities, ExaminedProject, Export, ExportOptions,
-    ExportRecord, Honours, LastRun, PlanningNumbers, Product, Selection, TaskRunner, Trap,
+    ExportRecord, Honours, LastRun, PlanningNumbers, Product, Selection, TaskProgram, TaskRunner,
+    Trap,
     error::check_length,
     runner::{finishes_itself, is_not_empty, words},
     semi_global::{self, CONFIDENCE, PHOTOMETRIC},
@@ -97,6 +98,10 @@ pub static BACKEND: Backend = Backend {
     unread: &["webp", "bmp", "ppm", "pgm", "jp2"],
     takes_masks: true,
     mixes_sizes: true,
+    task_program: Some(TaskProgram {
+        name: "sgm.py",
+        variable: "SGM",
+    }),
     tasks,
     traps,
     export,
@@ -122,8 +127,6 @@ fn tasks(selection: &Selection, _: &Export) -> Option<TaskRunner> {
         Some(out.join(format!("depth_maps/{}.npy", selection.scene.name(c.key))))
     };
     Some(TaskRunner {
-        program: "sgm.py",
-        variable: "SGM",
         takes_python: true,
         commands,
         is_whole: is_not_empty,

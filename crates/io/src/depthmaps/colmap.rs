@@ -1,12 +1,11 @@
 //! COLMAP's `NAME.geometric.bin`: ASCII `W&H&C&`, then W x H x C little-endian float32, plane by
 //! plane, row-major.
 
-use std::{fs, path::Path};
+use std::path::Path;
 
 use viewrank_core::base::pixels::PixelBound;
 
-use super::{DepthMapError, Parsed, Plane, floats};
-use crate::input::{self, FileKind};
+use super::{DepthMapError, Parsed, Plane, floats, whole_size_by};
 
 /// Bytes within which a head ends: three numbers of ten digits.
 const LONGEST_HEAD: u64 = 33;
@@ -16,19 +15,7 @@ const LONGEST_HEAD: u64 = 33;
 /// # Errors
 /// [`DepthMapError::Format`] for a map of other channels, or of another length than its head says.
 pub fn whole_size(path: &Path, channels: u32) -> Result<[u32; 2], DepthMapError> {
-    let start = input::read_start(path, FileKind::Picture, LONGEST_HEAD);
-    let start = start.map_err(DepthMapError::io(path))?;
-    let there = fs::metadata(path).map_err(DepthMapError::io(path))?.len();
-    let (size, at) = head(&start, channels).map_err(DepthMapError::format(path))?;
-    let [width, height] = size;
-    let values = u64::from(width) * u64::from(height);
-    let needed = values.saturating_mul(4 * u64::from(channels));
-    let needed = needed.saturating_add(at as u64);
-    if values > 0 && there == needed {
-        return Ok(size);
-    }
-    let what = format!("{width} x {height} pixels need {needed} bytes, {there} are there");
-    Err(DepthMapError::format(path)((at, what)))
+    whole_size_by(path, LONGEST_HEAD, channels, |start| head(start, channels))
 }
 
 pub(super) fn parse(bytes: &[u8], bound: PixelBound) -> Parsed<Plane> {

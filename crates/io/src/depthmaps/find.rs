@@ -316,14 +316,16 @@ fn format_of(path: &Path) -> Option<(DepthMapFormat, u8)> {
         }
         "MMLastNuage.xml" if !is_set_aside => Some((DepthMapFormat::MicMac, 0)),
         _ if name.ends_with("_prob.pfm") || in_folder("confidence") => None,
-        _ if name.ends_with(".pfm") && !is_copy(path) => Some((DepthMapFormat::Pfm, 0)),
+        _ if name.ends_with(".pfm") && !is_copy(path) && !is_set_aside => {
+            Some((DepthMapFormat::Pfm, 0))
+        }
         _ if name.ends_with(".npy") => Some((DepthMapFormat::Npy, 0)),
         _ => None,
     }
 }
 
-/// Returns whether `finished.py` of an export has made the map for the fusion, with those of half
-/// the size enlarged.
+/// Returns whether a script of exports until November 2026 has made the map for the fusion, with
+/// those of half the size enlarged.
 fn is_copy(map: &Path) -> bool {
     paths::absolute(map)
         .parent()

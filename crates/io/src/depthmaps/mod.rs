@@ -9,11 +9,12 @@ mod micmac;
 pub mod mve;
 mod npy;
 pub mod openmvs;
-mod pfm;
+pub mod pfm;
 #[cfg(test)]
 mod tests;
 
 use std::{
+    fs,
     path::{Path, PathBuf},
     time::{Duration, SystemTime},
 };
@@ -527,6 +528,29 @@ fn pixels(width: u32, height: u32, bound: PixelBound) -> Parsed<usize> {
         Ok(0) => Err((0, "the map has no pixels".into())),
         admitted => admitted.map_err(|error| (0, error.to_string())),
     }
+}
+
+/// Width and height of a map of little-endian f32 that is all there, by its head: the first
+/// `longest` bytes or less, of which `head` returns the size and the offset of the values.
+fn whole_size_by(
+    path: &Path,
+    longest: u64,
+    channels: u32,
+    head: impl Fn(&[u8]) -> Parsed<([u32; 2], usize)>,
+) -> Result<[u32; 2], DepthMapError> {
+    let start = input::read_start(path, FileKind::Picture, longest);
+    let start = start.map_err(DepthMapError::io(path))?;
+    let there = fs::metadata(path).map_err(DepthMapError::io(path))?.len();
+    let (size, at) = head(&start).map_err(DepthMapError::format(path))?;
+    let [width, height] = size;
+    let values = u64::from(width) * u64::from(height);
+    let needed = values.saturating_mul(4 * u64::from(channels));
+    let needed = needed.saturating_add(at as u64);
+    if values > 0 && there == needed {
+        return Ok(size);
+    }
+    let what = format!("{width} x {height} pixels need {needed} bytes, {there} are there");
+    Err(DepthMapError::format(path)((at, what)))
 }
 
 /// Returns `width` x `height` values of N bytes each from `start`; checks that they are there.

@@ -1,12 +1,11 @@
 //! MVE's `.mvei`: `\x89MVE_IMAGE\n`, then i32 width, height, channels, type (9: float32), then the
 //! values, row-major. dmrecon writes distances from the camera's centre.
 
-use std::{fs, path::Path};
+use std::path::Path;
 
 use viewrank_core::base::pixels::PixelBound;
 
-use super::{DepthMapError, Parsed, Plane, floats, u32_at};
-use crate::input::{self, FileKind};
+use super::{DepthMapError, Parsed, Plane, floats, u32_at, whole_size_by};
 
 const SIGNATURE: &[u8] = b"\x89MVE_IMAGE\n";
 const FLOAT: u32 = 9;
@@ -18,22 +17,8 @@ const HEAD: usize = SIGNATURE.len() + 16;
 /// # Errors
 /// [`DepthMapError::Format`] for another image, or one of another length than its head says.
 pub fn whole_size(path: &Path) -> Result<[u32; 2], DepthMapError> {
-    let start = input::read_start(path, FileKind::Picture, HEAD as u64);
-    let start = start.map_err(DepthMapError::io(path))?;
-    let there = fs::metadata(path).map_err(DepthMapError::io(path))?.len();
-    let size = head(&start).map_err(DepthMapError::format(path))?;
-    let needed = size
-        .map(u64::from)
-        .iter()
-        .product::<u64>()
-        .saturating_mul(4);
-    let needed = needed.saturating_add(HEAD as u64);
-    if there == needed && there > HEAD as u64 {
-        return Ok(size);
-    }
-    let [width, height] = size;
-    let what = format!("{width} x {height} pixels need {needed} bytes, {there} are there");
-    Err(DepthMapError::format(path)((HEAD, what)))
+    let head = |start: &[u8]| head(start).map(|size| (size, HEAD));
+    whole_size_by(path, HEAD as u64, 1, head)
 }
 
 pub(super) fn parse(bytes: &[u8], bound: PixelBound) -> Parsed<Plane> {

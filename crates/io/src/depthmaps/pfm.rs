@@ -1,19 +1,53 @@
 //! Portable float map: `Pf`, width and height, scale (negative: little-endian), then rows from
 //! bottom to top.
 
+use std::path::Path;
+
 use viewrank_core::base::pixels::PixelBound;
 
-use super::{Parsed, Plane, floats};
+use super::{DepthMapError, Parsed, Plane, floats, whole_size_by};
+use crate::input::{self, FileKind};
+
+/// Length of the longest header that programs write, bytes.
+const LONGEST_HEAD: u64 = 128;
+
+/// Width and height of a map that is all there.
+///
+/// # Errors
+/// [`DepthMapError::Format`] for another image, or one of another length than its header says.
+pub fn whole_size(path: &Path) -> Result<[u32; 2], DepthMapError> {
+    let head = |start: &[u8]| head(start).map(|(size, _, at)| (size, at));
+    whole_size_by(path, LONGEST_HEAD, 1, head)
+}
+
+/// Returns a map with the nearest pixel at each place of an image of another size, as a file.
+///
+/// # Errors
+/// As the readers of depth maps.
+pub fn resized(
+    path: &Path,
+    bound: PixelBound,
+    [width, height]: [u32; 2],
+) -> Result<Vec<u8>, DepthMapError> {
+    let bytes = input::read_start(path, FileKind::Picture, bound.file_bytes());
+    let bytes = bytes.map_err(DepthMapError::io(path))?;
+    let ([w, h], values) = parse(&bytes, bound).map_err(DepthMapError::of_bytes(path, &bytes))?;
+    let nearest = |at: u32, side: u32, of: u32| {
+        let at = u64::from(at) * u64::from(of) / u64::from(side);
+        at.min(u64::from(of) - 1) as usize
+    };
+    let mut file = format!("Pf\n{width} {height}\n-1.0\n").into_bytes();
+    for y in (0..height).rev() {
+        let row = &values[nearest(y, height, h) * w as usize..][..w as usize];
+        let row = (0..width).map(|x| row[nearest(x, width, w)]);
+        file.extend(row.flat_map(f32::to_le_bytes));
+    }
+    Ok(file)
+}
 
 pub(super) fn parse(bytes: &[u8], bound: PixelBound) -> Parsed<Plane> {
-    let (magic, at) = word(bytes, 0)?;
-    if magic != "Pf" {
-        return Err((0, "expected `Pf` (one channel)".into()));
-    }
-    let (width, at) = number::<u32>(bytes, at)?;
-    let (height, at) = number::<u32>(bytes, at)?;
-    let (scale, at) = number::<f32>(bytes, at)?;
-    let (size, mut depth) = floats(bytes, at, [width, height], bound)?;
+    let (size, scale, at) = head(bytes)?;
+    let ([width, _], mut depth) = floats(bytes, at, size, bound)?;
     if scale > 0.0 {
         depth
             .iter_mut()
@@ -21,6 +55,18 @@ pub(super) fn parse(bytes: &[u8], bound: PixelBound) -> Parsed<Plane> {
     }
     let rows = depth.chunks_exact(width as usize).rev();
     Ok((size, rows.flatten().copied().collect()))
+}
+
+/// Returns width and height, the scale, and the offset of the floats.
+fn head(bytes: &[u8]) -> Parsed<([u32; 2], f32, usize)> {
+    let (magic, at) = word(bytes, 0)?;
+    if magic != "Pf" {
+        return Err((0, "expected `Pf` (one channel)".into()));
+    }
+    let (width, at) = number(bytes, at)?;
+    let (height, at) = number(bytes, at)?;
+    let (scale, at) = number(bytes, at)?;
+    Ok(([width, height], scale, at))
 }
 
 fn number<T: std::str::FromStr>(bytes: &[u8], start: usize) -> Parsed<(T, usize)> {
