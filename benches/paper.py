@@ -15,6 +15,7 @@ ORDERS = {
 PAPER_RANKING = {0.5: "1.8 to 2.4", 0.7: "7.1"}
 # Pairs over those of Max, by share, at k = 11.
 PAPER_PAIRS = {0.5: "0.40", 0.7: "0.50", 0.8: "0.55", 0.9: "0.65"}
+K = 5
 ALONG = (10, 25, 50, 100, 200, 400)
 # From so many key views on, gaps count.
 SETTLED = 50
@@ -41,43 +42,39 @@ def per_cent(part, whole, digits=1):
 
 
 def ranking(result):
-    """Per cent of the clusters that each order needs: by fulfilment / by cells of the cloud / by those where three maps agree."""
-    shares, needed = result["ranking"]["shares"], result["ranking"]["needed"]
+    """Per cent of the clusters that each order needs: by fulfilment / by cells of the cloud."""
+    shares, needed = upper(result["ranking"]["shares"]), result["ranking"]["needed"]
     rows = []
     for order, name in ORDERS.items():
-        best_of_cells = "oracle" if order == "optimum" else order
-        kinds = needed["f_o"][order], needed["all"][best_of_cells], needed["agreeing"][best_of_cells]
-        rows.append([name, *(" / ".join(per_cent(row[i], result["maps"]) for row in kinds) for i in range(len(shares)))])
-    rows.append(["the paper, k = 5", *(PAPER_RANKING.get(share, "") for share in shares)])
-    return table([f"{result['set']}, {result['maps']}", *(f"{share:.0%}" for share in shares)], rows)
+        kinds = needed["f_o"][order], needed["all"]["oracle" if order == "optimum" else order]
+        rows.append([name, *(" / ".join(per_cent(row[i], result["maps"]) for row in kinds) for i in shares)])
+    rows.append(["the paper, k = 5", *(PAPER_RANKING.get(share, "") for share in shares.values())])
+    return table([f"{result['set']}, {result['maps']}", *(f"{share:.0%}" for share in shares.values())], rows)
+
+
+def upper(shares):
+    """The shares from a half on, by their index."""
+    return {i: share for i, share in enumerate(shares) if share >= 0.5}
 
 
 def partners(result):
-    """Completeness / outliers in per cent / RMSE in mm / f_o of all clusters."""
-    counts = sorted({row["k"] for row in result["partners"]})
-    found = {(row["rule"], row["k"]): row for row in result["partners"]}
-    quality = lambda row: f"{100 * row['completeness']:.1f} / {100 * row['outliers']:.1f} / {1000 * row['rmse']:.0f} / {row['real']:.3f}"
-    rules = sorted({rule for rule, _ in found}, key=lambda rule: -found[rule, 5]["real"])
-    return table([result["set"], *(f"k = {k}" for k in counts)], [[rule, *(quality(found[rule, k]) for k in counts)] for rule in rules])
+    """Completeness and outliers in per cent, RMSE in mm, f_o of all clusters, with K partners."""
+    rows = sorted((row for row in result["partners"] if row["k"] == K), key=lambda row: -row["real"])
+    quality = lambda row: [f"{100 * row['completeness']:.1f}", f"{100 * row['outliers']:.1f}", f"{1000 * row['rmse']:.0f}", f"{row['real']:.3f}"]
+    return table([result["set"], "complete", "outliers", "RMSE", "fulfilment"], [[row["rule"], *quality(row)] for row in rows])
 
 
 def full_method(result):
-    """Pairs in per cent of all at the same k: ours / its clusters in the best order / Max (ratio of ours to Max)."""
+    """Pairs that ours needs over those that Max does, at the same k."""
     full = result["full"]
     found = {(row["rule"], row["k"]): row for row in full["rows"]}
+    shares = upper(full["shares"])
     rows = []
     for k in sorted({k for _, k in found}):
-        ours, most = (found[rule, k] for rule in ("ours", "maxcon"))
-        rows.append([f"k = {k}", *(compared(ours, most, i) for i in range(len(full["shares"])))])
-    rows.append(["the paper, ratio", *(PAPER_PAIRS.get(share, "") for share in full["shares"])])
-    return table([result["set"], *(f"{share:.0%}" for share in full["shares"])], rows)
-
-
-def compared(ours, most, i):
-    """Where one never gets there, it has a dash."""
-    pairs = [(ours["needed"][i], ours["pairs"]), (ours["optimum"][i], ours["pairs"]), (most["needed"][i], most["pairs"])]
-    text = " / ".join(per_cent(*one) for one in pairs)
-    return f"{text} ({ours['needed'][i] / most['needed'][i]:.2f})" if ours["needed"][i] and most["needed"][i] else text
+        ours, most = (found[rule, k]["needed"] for rule in ("ours", "maxcon"))
+        rows.append([f"k = {k}", *(f"{ours[i] / most[i]:.2f}" if ours[i] and most[i] else "–" for i in shares)])
+    rows.append(["the paper, k = 11", *(PAPER_PAIRS.get(share, "") for share in shares.values())])
+    return table([result["set"], *(f"{share:.0%}" for share in shares.values())], rows)
 
 
 def gaps(results):

@@ -25,8 +25,7 @@ SETS = {
     "kitchen": "hand-held frames, 7-Scenes",
     "office": "hand-held, a room, COLMAP's own maps",
 }
-ORDERS = ("ours", "every n-th", "maxpts", "farthest view", "random", "oracle")
-KINDS = {"all": "all", "agreeing": "three agree"}
+ORDERS = ("ours", "every n-th", "maxpts", "farthest view", "oracle")
 ROOT = Path(__file__).resolve().parents[1]
 
 
@@ -41,13 +40,14 @@ def main():
         if missing:
             print(f"{matcher}: no results of {', '.join(missing)}", file=sys.stderr)
     openmvs, sgm, colmap = ([results[name, matcher] for name in SETS if (name, matcher) in results] for matcher in ("openmvs", "sgm", "colmap"))
-    tables = {"cells-openmvs": covered(openmvs), "cells-sgm": covered(sgm), "maps-openmvs": needed(openmvs), "default-openmvs": default(openmvs), "default-sgm": default(sgm), "check-openmvs": checked(openmvs)}
-    tables |= {"cells-colmap": covered(colmap), "maps-colmap": needed(colmap), "default-colmap": default(colmap), "exact-colmap": exact_of_colmap(colmap), "so-far": so_far([*openmvs, *sgm, *colmap])}
+    tables = {"cells-openmvs": covered(openmvs), "cells-sgm": covered(sgm), "cells-colmap": covered(colmap), "check-openmvs": checked(openmvs), "exact-colmap": exact_of_colmap(colmap)}
+    tables |= {"default-openmvs": default(openmvs), "default-sgm": default(sgm), "default-colmap": default(colmap)}
     trained = by_set("splats.json")
     tables["splats"] = splats(trained)
     timed = by_set("planning.json")
     tables["planning"] = paper.planning(timed) if timed else []
-    tables |= partners([*by_set("partners.json").values()]) | paper.tables([*by_set("experiments.json").values()])
+    tables["partners-exact"] = partners([*by_set("partners.json").values()])
+    tables |= paper.tables([*by_set("experiments.json").values()])
     replace(ROOT / "docs/benchmarks.md", tables)
     replace(ROOT / "README.md", {"saved": saved(openmvs), "splats": splats(trained, with_sets=False)})
 
@@ -65,66 +65,43 @@ def table(head, rows):
     return [f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *rows)]
 
 
-def order(result, kind, name):
-    return next(order for order in result["cells"][kind]["orders"] if order["name"] == name)
+def order(result, name):
+    return next(order for order in result["cells"]["all"]["orders"] if order["name"] == name)
 
 
 def title(result):
-    return f"{result['set']}: {SETS[result['set']]}, {result['cells']['maps']}"
+    return f"{result['set']}, {result['cells']['maps']}"
 
 
 def covered(results):
-    """Cells covered at 10, 20, 30 and 50 % of the maps."""
+    """All cells covered at 10, 20, 30 and 50 % of the maps by each order, and the way of ours."""
     rows = []
     for result in results:
-        for kind, name in KINDS.items():
-            rows.append([title(result) if kind == "all" else "", name, *shares(result, kind)])
-    return table(["set, maps", "cells", *ORDERS, "way of ours"], rows) if rows else []
-
-
-def shares(result, kind):
-    """Covered by each order, and the way of ours."""
-    covered = [" ".join(f"{100 * share:.0f}" for share in order(result, kind, one)["covered"]) for one in ORDERS]
-    return [*covered, " ".join("–" if way is None else f"{way:.2f}" for way in order(result, kind, "ours")["way"])]
-
-
-def so_far(results):
-    """What is said of the first maps of a plan before the others are there."""
-    rows = []
-    for result in results:
-        of = [f"{100 * row['real']:.0f} / {100 * row['said']:.0f}" for row in result.get("so far", [])]
-        if of:
-            rows.append([result["matcher"], result["set"], *of])
-    return table(["program", "set", "10 %", "20 %", "30 %", "50 %"], rows) if rows else []
+        shares = [" ".join(f"{100 * share:.0f}" for share in order(result, one)["covered"]) for one in ORDERS]
+        way = " ".join("–" if way is None else f"{way:.2f}" for way in order(result, "ours")["way"])
+        rows.append([title(result), *shares, way])
+    return table(["set, maps", *ORDERS, "way of ours"], rows) if rows else []
 
 
 def exact_of_colmap(results):
-    """Clouds of COLMAP with other min_num_pixels: share of the cloud of all maps that the default plan gives, and the latter against exact depth."""
+    """Clouds of all maps of COLMAP with other min_num_pixels against exact depth."""
     rows = []
     for result in results:
         for pixels, of in result["fused_of"].items():
-            fused = [f"{100 * of['fused'][name]:.1f}" for name in ("plan", "every n-th")]
-            scores = [f"{100 * of['exact'][score]:.1f}" if of["exact"] else "" for score in ("complete", "accurate", "F1")]
-            rows.append([f"{result['set']}, {result['cells']['maps']}" if pixels == "2" else "", pixels, f"{of['points']['all'] / 1000:.0f} k", *fused, *scores])
-    return table(["set, maps", "min_num_pixels", "points", "plan", "every n-th", "complete", "accurate", "F1"], rows) if rows else []
-
-
-def needed(results):
-    """Maps for 50, 70, 80 and 90 % of all cells."""
-    orders = [one for one in ORDERS if one != "random"]
-    rows = [[f"{result['set']}, {result['cells']['maps']}", *(", ".join(map(str, order(result, "all", one)["needed"])) for one in orders)] for result in results]
-    return table(["set, maps", *orders], rows) if rows else []
+            if of["exact"]:
+                scores = [f"{100 * of['exact'][score]:.1f}" for score in ("complete", "accurate", "F1")]
+                rows.append([result["set"], pixels, f"{of['points']['all'] / 1000:.0f} k", *scores])
+    return table(["set", "min_num_pixels", "points", "complete", "accurate", "F1"], rows) if rows else []
 
 
 def default(results):
-    """What the default plan promised and gave: in a fusion of its maps alone where there was one, and by the table."""
+    """What the default plan gave: in a fusion of its maps alone where there was one, else by the table of cells."""
     rows = []
     for result in results:
         plan, spread = result["default"], result["default"]["every n-th"]
-        fused = [f"{100 * of['fused']:.1f}" if "fused" in of else "–" for of in (plan, spread)]
-        shares = [", ".join(f"{100 * of[kind]:.1f}" for kind in KINDS) for of in (plan["covered"], spread)]
-        rows.append([f"{result['set']}, {result['cells']['maps']}", str(plan["maps"]), f"{100 * plan['forecast']:.1f}", *fused, *shares])
-    return table(["set, maps", "plan", "forecast", "fused", "every n-th, fused", "by the table: all, three agree", "every n-th"], rows) if rows else []
+        given = [of["fused"] if "fused" in of else cells["all"] for of, cells in ((plan, plan["covered"]), (spread, spread))]
+        rows.append([title(result), str(plan["maps"]), *(f"{100 * share:.1f}" for share in given)])
+    return table(["set, maps", "plan", "gave", "every n-th"], rows) if rows else []
 
 
 def checked(results):
@@ -155,22 +132,16 @@ def splats(of_sets, with_sets=True):
 
 
 def partners(results):
-    """Clouds by numbers of partners: against exact depth, and against the union of the clouds."""
+    """Clouds by numbers of partners against exact depth."""
     programs = {"openmvs": "OpenMVS", "sgm": "sgm"}
-    names = {"partners-exact": ("complete", "accurate", "F1"), "partners-union": ("complete", "agreed")}
-    tables = {}
-    for table_name, scores in names.items():
-        rows = []
-        for result in sorted(results, key=lambda result: (list(programs).index(result["matcher"]), list(SETS).index(result["set"]))):
-            if result["exact"] != (table_name == "partners-exact"):
-                continue
-            for row in result["rows"]:
-                at_work = [f"{100 * at[scores[-1]]:.1f} ({at['maps']})" for at in row["at"]]
-                first = f"{programs[result['matcher']]}, {result['set']}, {row['maps']}" if row is result["rows"][0] else ""
-                rows.append([first, str(row["k"]), f"{row['seconds']:.0f}", f"{row['points'] / 1000:,.0f} k", *(f"{100 * row[score]:.1f}" for score in scores), *at_work])
-        head = ["program, set, maps", "k", "CPU s", "points", *scores, *(f"{scores[-1]} in {share} of the time" for share in ("¼", "½", "all"))]
-        tables[table_name] = table(head, rows) if rows else []
-    return tables
+    rows = []
+    for result in sorted(results, key=lambda result: (list(programs).index(result["matcher"]), list(SETS).index(result["set"]))):
+        for row in result["rows"] if result["exact"] else []:
+            at_work = [f"{100 * at['F1']:.1f} ({at['maps']})" for at in row["at"]]
+            first = f"{programs[result['matcher']]}, {result['set']}" if row is result["rows"][0] else ""
+            rows.append([first, str(row["k"]), f"{row['seconds']:.0f}", *(f"{100 * row[score]:.1f}" for score in ("complete", "accurate", "F1")), *at_work])
+    head = ["program, set", "k", "CPU s", "complete", "accurate", "F1", *(f"F1 in {share} of the time" for share in ("¼", "½", "all"))]
+    return table(head, rows) if rows else []
 
 
 def mean(values):
