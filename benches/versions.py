@@ -79,7 +79,7 @@ PROGRAMS = {
         Statement("the image is webodm/odx", "src/backends/odm.rs", "webodm/odx", "README.md", r"webodm/odx --project-path /datasets project"),
         Statement("the quality is medium by default", "docs/backends.md", "`--pc-quality medium`", "opendm/config.py", r"'--pc-quality',[\s\S]{0,120}default='medium'"),
         Statement("--end-with takes opensfm", "integrations/odm/README.md", "--end-with opensfm", "opendm/config.py", r"processopts = \[[^\]]*'opensfm'"),
-        Statement("an existing scene is kept", "docs/backends.md", "its\ndense stage was not read", "stages/openmvs.py", r'"scene\.mvs"\)\s+if not io\.file_exists'),
+        Statement("an existing scene is kept", "docs/backends.md", "its dense stage was not read", "stages/openmvs.py", r'"scene\.mvs"\)\s+if not io\.file_exists'),
     ],
     "PatchmatchNet": [
         Statement(f"{name} is an option of eval.py", "src/backends/pairs/dialects.rs", name, "eval.py", rf'"{name}"')
