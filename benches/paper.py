@@ -1,16 +1,6 @@
 """Tables of the paper's experiments, from experiments.json of integrations/sgm/experiments.py, beside what the paper has (arXiv 1803.08323)."""
 
-ORDERS = {
-    "optimum": "Opt",
-    "ours": "Ours",
-    "nocp": "OursNoCP",
-    "realupdate": "OursRU",
-    "replan": "replanned (5.4)",
-    "maxpts": "MaxPts",
-    "every n-th": "every n-th",
-    "farthest view": "farthest view",
-    "random": "Random",
-}
+ORDERS = {"optimum": "Opt", "ours": "Ours", "nocp": "OursNoCP", "maxpts": "MaxPts", "every n-th": "every n-th", "random": "Random"}
 # What the paper says of 1,236 images: per cent of the images, by share of the reachable fulfilment.
 PAPER_RANKING = {0.5: "1.8 to 2.4", 0.7: "7.1"}
 # Pairs over those of Max, by share, at k = 11.
@@ -23,14 +13,11 @@ SETTLED = 50
 
 def tables(results):
     """Markdown tables by the name of their mark."""
+    if not results:
+        return {}
     results = sorted(results, key=lambda result: result["maps"])
-    made = {}
-    for result in results:
-        name = result["set"]
-        made |= {f"ranking-{name}": ranking(result), f"partners-{name}": partners(result), f"full-{name}": full_method(result)}
-    if results:
-        made |= {"gap": gaps(results), "matching": matching(results)}
-    return made
+    made = {f"ranking-{result['set']}": ranking(result) for result in results}
+    return made | {"partners": partners(results), "full": full_method(results), "gap": gaps(results)}
 
 
 def table(head, rows):
@@ -57,24 +44,27 @@ def upper(shares):
     return {i: share for i, share in enumerate(shares) if share >= 0.5}
 
 
-def partners(result):
+def partners(results):
     """Completeness and outliers in per cent, RMSE in mm, f_o of all clusters, with K partners."""
-    rows = sorted((row for row in result["partners"] if row["k"] == K), key=lambda row: -row["real"])
-    quality = lambda row: [f"{100 * row['completeness']:.1f}", f"{100 * row['outliers']:.1f}", f"{1000 * row['rmse']:.0f}", f"{row['real']:.3f}"]
-    return table([result["set"], "complete", "outliers", "RMSE", "fulfilment"], [[row["rule"], *quality(row)] for row in rows])
-
-
-def full_method(result):
-    """Pairs that ours needs over those that Max does, at the same k."""
-    full = result["full"]
-    found = {(row["rule"], row["k"]): row for row in full["rows"]}
-    shares = upper(full["shares"])
     rows = []
-    for k in sorted({k for _, k in found}):
-        ours, most = (found[rule, k]["needed"] for rule in ("ours", "maxcon"))
-        rows.append([f"k = {k}", *(f"{ours[i] / most[i]:.2f}" if ours[i] and most[i] else "–" for i in shares)])
+    for result in results:
+        for row in sorted((row for row in result["partners"] if row["k"] == K), key=lambda row: -row["real"]):
+            quality = f"{100 * row['completeness']:.1f}", f"{100 * row['outliers']:.1f}", f"{1000 * row['rmse']:.0f}", f"{row['real']:.3f}"
+            rows.append([result["set"], row["rule"], *quality])
+    return table(["set", "rule", "complete", "outliers", "RMSE", "fulfilment"], rows)
+
+
+def full_method(results):
+    """Pairs that ours needs over those that Max does, at the same k."""
+    rows = []
+    for result in results:
+        found = {(row["rule"], row["k"]): row["needed"] for row in result["full"]["rows"]}
+        shares = upper(result["full"]["shares"])
+        for k in sorted({k for _, k in found}):
+            ours, most = found["ours", k], found["maxcon", k]
+            rows.append([f"{result['set']}, k = {k}", *(f"{ours[i] / most[i]:.2f}" if ours[i] and most[i] else "–" for i in shares)])
     rows.append(["the paper, k = 11", *(PAPER_PAIRS.get(share, "") for share in shares.values())])
-    return table([result["set"], *(f"{share:.0%}" for share in shares.values())], rows)
+    return table(["set", *(f"{share:.0%}" for share in shares.values())], rows)
 
 
 def gaps(results):
@@ -96,12 +86,3 @@ def planning(timed):
         for kind, (plan, again) in kinds.items():
             rows.append([f"{name}, {plan['views']}", kind, f"{1000 * plan['cpu'] / plan['views']:.0f}", f"{plan['peak_mb']:,.0f}", f"{again['cpu']:.2f}"])
     return table(["set, views", "planned with", "CPU, ms per view", "peak, MB", "other target, CPU s"], rows)
-
-
-def matching(results):
-    """Planning beside matching of all clusters, seconds of one core per key view."""
-    rows = []
-    for result in results:
-        plan, match = result["time"]["planning"]["sgm"][0]["cpu"] / result["maps"], result["time"]["matching"]
-        rows.append([f"{result['set']}, {result['maps']}", f"{1000 * plan:.0f}", f"{1000 * match:.0f}", f"{100 * plan / match:.1f}", "2 to 6"])
-    return table(["set, maps", "planning, ms", "matching, ms", "planning over matching, %", "the paper, %"], rows)
