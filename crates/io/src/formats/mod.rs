@@ -277,9 +277,12 @@ pub fn name_parts(name: &str) -> Option<Vec<&str>> {
             "" | "." => {}
             ".." if parts.last().is_some_and(|above| *above != "..") => _ = parts.pop(),
             ".." if parts.is_empty() => parts.push(part),
-            _ if Path::new(part)
-                .components()
-                .eq([Component::Normal(part.as_ref())]) =>
+            ".." => return None,
+            // Only a drive of Windows makes it more than a name.
+            _ if !part.contains(':')
+                || Path::new(part)
+                    .components()
+                    .eq([Component::Normal(part.as_ref())]) =>
             {
                 parts.push(part)
             }
@@ -320,6 +323,10 @@ mod tests {
         });
         let frames = many(r#"{"frames":["#, &|_| "0,".into());
         let lines = many("", &|n| format!("{n} SIMPLE_PINHOLE 9 9 9 5 5\n"));
+        // Version 1, no platforms, and empty names.
+        let count = (MOST_IMAGES as u64 + 1).to_le_bytes();
+        let scene = [b"MVSI\x01\0\0\0\0\0\0\0", &[0; 8][..], &count];
+        let scene = [&scene.concat()[..], &vec![0; 20 * (MOST_IMAGES + 1)]].concat();
         let faults = [
             fault(opensfm::read(cameras.as_bytes(), None)),
             fault(opensfm::read(recordings.as_bytes(), None)),
@@ -337,6 +344,7 @@ mod tests {
                 cameras: lines.as_bytes(),
                 ..Bytes::default()
             })),
+            fault(openmvs::Mvs::read(&scene)),
         ];
         for fault in faults {
             assert_eq!(fault.problem.hint(), SPLIT, "{fault}");

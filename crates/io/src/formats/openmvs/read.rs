@@ -11,7 +11,7 @@ use super::{
     Camera, Image, Line, Mvs, NEWEST, NO_ID, NO_POSE, Platform, PlatformPose, Vertex, VertexView,
     ViewScore,
 };
-use crate::formats::{Fault, Place, Problem};
+use crate::formats::{Fault, Place, Problem, check_images};
 
 impl Mvs {
     /// Reads a scene and checks that all its indices are valid.
@@ -193,7 +193,12 @@ impl<'a> Reader<'a> {
 
     /// Reads the images; those without an id have their position for it.
     fn images(&mut self) -> Result<Vec<Image>, Fault> {
-        let mut images = self.list("images", 20, Self::image)?;
+        let mut read = 0;
+        let mut images = self.list("images", 20, |reader| {
+            read += 1;
+            check_images(read)?;
+            reader.image()
+        })?;
         for (position, image) in (0..).zip(&mut images) {
             if image.id == NO_ID {
                 image.id = position;
