@@ -7,6 +7,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::as_path;
 use crate::backends::{BackendError, error::check_length};
 
 /// Longest end that is put behind the name of an image.
@@ -53,6 +54,22 @@ pub fn check_name(backend: &'static str, name: &str) -> Result<(), BackendError>
         return check_length(backend, name, LONGEST_END);
     };
     Err(BackendError::name(backend, name, why))
+}
+
+/// Refuses a name in the lists, as [`check_name`], and where COLMAP would write its maps elsewhere.
+pub fn check_listed(name: &str) -> Result<(), BackendError> {
+    let backend = super::BACKEND.name;
+    check_name(backend, name)?;
+    if as_path(name).split('/').all(|part| part != "..") {
+        return Ok(());
+    }
+    Err(BackendError::Needs {
+        backend,
+        what: format!(
+            "names in the workspace that lead down only, and {name} has a `..`: its depth map and its normal map may be one file"
+        ),
+        hint: "rename the images in the model of the workspace, or export with --out DIR, which writes another one".into(),
+    })
 }
 
 /// COLMAP's `StringTrim` removes ASCII white space only.

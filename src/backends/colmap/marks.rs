@@ -11,7 +11,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use super::{MARKS, OWN, cfg::Problem};
+use super::{MARKS, OWN, as_path, cfg::Problem};
 use crate::{
     backends::{
         KnownMaps,
@@ -57,7 +57,7 @@ pub fn to_tsv(maps: &[ListedMap]) -> String {
 
 /// Returns the path of a map under `stereo/depth_maps` and `stereo/normal_maps`.
 pub fn map_name(image: &str, kind: &str) -> String {
-    format!("{image}.{kind}.bin")
+    format!("{}.{kind}.bin", as_path(image))
 }
 
 /// Returns whether a map below `stereo/depth_maps` has the mark of what the list there says that it

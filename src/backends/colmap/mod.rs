@@ -16,7 +16,10 @@
 //! With geometric consistency the ranked list is cut into batches, so that an interrupted run
 //! leaves complete results of the best clusters.
 
-use std::collections::{HashMap, HashSet};
+use std::{
+    collections::{HashMap, HashSet},
+    path::Path,
+};
 
 use nalgebra::Vector3;
 
@@ -43,7 +46,7 @@ use crate::{
     },
     model::{
         cluster::{MapScale, RankedCluster},
-        scene::ViewIndex,
+        scene::{Scene, ViewIndex},
     },
 };
 
@@ -110,14 +113,17 @@ pub static BACKEND: Backend = Backend {
 };
 
 fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
-    let passes = Passes::new(selection, &ExportOptions::default());
+    let workspace = selection.project.dense_workspace.as_deref();
+    let workspace = workspace.filter(|workspace| *workspace == export.files.root);
+    let names = ListedNames::new(selection, workspace);
+    let passes = Passes::new(&names, selection, &ExportOptions::default());
     let made: HashSet<&str> = passes
         .last
         .iter()
         .map(|problem| &*problem.reference)
         .collect();
     let map = |c: &RankedCluster| {
-        let name = selection.scene.name(c.key);
+        let name = names.of(c.key);
         let path = format!("stereo/depth_maps/{}", map_name(name, "photometric"));
         made.contains(name).then(|| export.files.root.join(path))
     };
@@ -139,19 +145,20 @@ fn traps(examined: &ExaminedProject) -> Vec<Trap> {
 }
 
 fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
-    let passes = Passes::new(selection, options);
-    passes
-        .names()
-        .try_for_each(|name| cfg::check_name(BACKEND.name, name))?;
+    let workspace = selection.project.dense_workspace.as_deref();
+    let workspace = workspace.filter(|_| options.out.is_none());
+    let names = ListedNames::new(selection, workspace);
+    let passes = Passes::new(&names, selection, options);
+    passes.names().try_for_each(cfg::check_listed)?;
     let mut record = ExportRecord::new(&BACKEND, selection, |v| selection.scene.name(v).into());
     passes.describe(selection, &mut record);
-    let mut files = match (&options.out, &selection.project.dense_workspace) {
-        (None, Some(workspace)) => {
+    let mut files = match workspace {
+        Some(workspace) => {
             selection.refuse_unusable_images(BACKEND.name)?;
             record.warnings.extend(traps::rounded(selection.scene));
             FileSet::new(workspace, BACKEND.name)
         }
-        _ => {
+        None => {
             let origin = selection.near_origin().origin;
             record.moved(origin);
             own_workspace(selection, options, passes.refs, origin)?
@@ -195,8 +202,32 @@ fn own_workspace(
     Ok(files)
 }
 
+/// The names of views in the lists: COLMAP goes by the names in the model of its workspace.
+struct ListedNames<'a> {
+    scene: &'a Scene,
+    /// Those that differ, by the names in the scene.
+    others: HashMap<String, String>,
+}
+
+impl<'a> ListedNames<'a> {
+    /// `workspace`: the project's own, if the lists are for it, rather than for a new one.
+    fn new(selection: &Selection<'a>, workspace: Option<&Path>) -> Self {
+        let others = workspace.map(|_| selection.project.names_in_workspace());
+        Self {
+            scene: selection.scene,
+            others: others.unwrap_or_default(),
+        }
+    }
+
+    fn of(&self, view: ViewIndex) -> &str {
+        let name = self.scene.name(view);
+        self.others.get(name).map_or(name, String::as_str)
+    }
+}
+
 /// The problems of patch match, each list in the order of computation.
-struct Passes {
+struct Passes<'a> {
+    names: &'a ListedNames<'a>,
     refs: References,
     geometric: bool,
     /// First, photometric pass, if a geometric one follows.
@@ -208,8 +239,8 @@ struct Passes {
     half: HashSet<String>,
 }
 
-impl Passes {
-    fn new(selection: &Selection, options: &ExportOptions) -> Self {
+impl<'a> Passes<'a> {
+    fn new(names: &'a ListedNames, selection: &Selection, options: &ExportOptions) -> Self {
         let geometric = options
             .geometric
             .unwrap_or(options.refs == Some(References::KeysAndPartners));
@@ -219,8 +250,9 @@ impl Passes {
             References::Keys
         });
         let with_points = views_with_points(selection);
-        let keys = key_problems(selection, &with_points);
-        let all = [keys.clone(), other_problems(selection, refs, &with_points)].concat();
+        let keys = key_problems(names, selection, &with_points);
+        let others = other_problems(names, selection, refs, &with_points);
+        let all = [keys.clone(), others].concat();
         let (first, last) = match (geometric, refs) {
             (false, _) => (Vec::new(), all),
             (true, References::Keys) => {
@@ -237,10 +269,9 @@ impl Passes {
             .clusters
             .iter()
             .filter(|c| !geometric && c.scale == MapScale::Half);
-        let half = at_half
-            .map(|c| selection.scene.name(c.key).to_owned())
-            .collect();
+        let half = at_half.map(|c| names.of(c.key).to_owned()).collect();
         Self {
+            names,
             refs,
             geometric,
             first,
@@ -291,14 +322,14 @@ impl Passes {
         record.key_maps = selection
             .clusters
             .iter()
-            .filter(|c| last.contains(selection.scene.name(c.key)))
+            .filter(|c| last.contains(self.names.of(c.key)))
             .count();
         record.other_maps = maps - record.key_maps.min(maps);
         record.note_scale(selection, capped_scale(size_cap(selection)));
         let with_points = views_with_points(selection);
         for cluster in selection.clusters {
-            let key = selection.scene.name(cluster.key);
-            if !last.contains(key) {
+            if !last.contains(self.names.of(cluster.key)) {
+                let key = selection.scene.name(cluster.key);
                 let why = self.left_out(cluster, &with_points);
                 record
                     .warnings
@@ -364,7 +395,7 @@ impl Passes {
         let problems: HashMap<&str, &Problem> =
             self.last.iter().map(|p| (&*p.reference, p)).collect();
         let row = |(rank, cluster): (usize, &RankedCluster)| {
-            let problem = *problems.get(selection.scene.name(cluster.key))?;
+            let problem = *problems.get(self.names.of(cluster.key))?;
             let [id, _] = task_ids(&BACKEND, selection, cluster);
             let max_image_size = max_image_size(selection, cluster.scale);
             let camera = selection.scene.camera_of(cluster.key);
@@ -426,7 +457,7 @@ impl Passes {
     fn listed_maps(&self, selection: &Selection) -> Vec<ListedMap> {
         let clusters = selection.clusters.iter();
         let tasks: HashMap<&str, &RankedCluster> =
-            clusters.map(|c| (selection.scene.name(c.key), c)).collect();
+            clusters.map(|c| (self.names.of(c.key), c)).collect();
         let listed = |problem: &Problem, kind: &str, filter: &str| {
             let size = max_image_size(selection, self.scale(problem));
             ListedMap::new(problem, kind, &format!("{filter} {size:?}"))
@@ -535,8 +566,8 @@ fn views_with_points(selection: &Selection) -> Vec<bool> {
 }
 
 /// Returns the chosen clusters as problems, in rank order.
-fn key_problems(selection: &Selection, with_points: &[bool]) -> Vec<Problem> {
-    let name = |v: ViewIndex| selection.scene.name(v).to_owned();
+fn key_problems(names: &ListedNames, selection: &Selection, with_points: &[bool]) -> Vec<Problem> {
+    let name = |v: ViewIndex| names.of(v).to_owned();
     let problem = |c: &RankedCluster| Problem {
         reference: name(c.key),
         sources: c.partners.iter().map(|&p| name(p)).collect(),
@@ -551,7 +582,12 @@ fn key_problems(selection: &Selection, with_points: &[bool]) -> Vec<Problem> {
 
 /// Returns problems for views that aren't key views but need a depth map, by name; their sources
 /// are the views with most shared points that get maps, too.
-fn other_problems(selection: &Selection, refs: References, with_points: &[bool]) -> Vec<Problem> {
+fn other_problems(
+    names: &ListedNames,
+    selection: &Selection,
+    refs: References,
+    with_points: &[bool],
+) -> Vec<Problem> {
     let scene = selection.scene;
     let views = match refs {
         References::Keys => return Vec::new(),
@@ -571,10 +607,10 @@ fn other_problems(selection: &Selection, refs: References, with_points: &[bool])
         sources.sort_by_key(|s| std::cmp::Reverse(shared[s.index()]));
         sources.truncate(count);
         Problem {
-            reference: scene.name(v).into(),
+            reference: names.of(v).into(),
             sources: sources
                 .into_iter()
-                .map(|s| scene.name(s).to_owned())
+                .map(|s| names.of(s).to_owned())
                 .collect(),
         }
     };
@@ -644,8 +680,9 @@ fn map_folders(problems: &[Problem]) -> Vec<String> {
     let mut subfolders: Vec<String> = problems
         .iter()
         .map(|p| {
-            let folder = p.reference.rsplit_once('/');
-            folder.map_or_else(String::new, |(folder, _)| as_path(folder))
+            let path = as_path(&p.reference);
+            let folder = path.rsplit_once('/');
+            folder.map_or_else(String::new, |(folder, _)| folder.to_owned())
         })
         .collect();
     subfolders.sort_unstable();
@@ -664,8 +701,9 @@ fn map_folders(problems: &[Problem]) -> Vec<String> {
 /// Returns a name of a workspace's model, where COLMAP goes by it, as the path that it leads to: without
 /// `.` and empty parts.
 fn as_path(name: &str) -> String {
+    let is_separator = |c: char| c == '/' || cfg!(windows) && c == '\\';
     let parts: Vec<&str> = name
-        .split('/')
+        .split(is_separator)
         .filter(|part| !matches!(*part, "" | "."))
         .collect();
     parts.join("/")

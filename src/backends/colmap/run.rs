@@ -65,7 +65,7 @@ impl Row {
 
     fn path(&self, folder: &str) -> String {
         let name = map_name(&self.problem.reference, "photometric");
-        format!("stereo/{folder}/{}", as_path(&name))
+        format!("stereo/{folder}/{name}")
     }
 }
 

@@ -1,14 +1,6 @@
 //! Lists and links of exports name the files that were found, and what cannot be used is no export.
 
-use super::*;
-
-fn renamed(name: impl Fn(usize) -> String) -> ColmapModel<'static> {
-    let mut scene = scene();
-    for (n, view) in scene.views.iter_mut().enumerate() {
-        view.name = name(n);
-    }
-    ColmapModel::from_scene(&scene)
-}
+use super::{images::renamed, *};
 
 /// Asserts that each line of the list of images is a file below the folder from which the command
 /// copies, and returns the command.

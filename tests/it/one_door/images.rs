@@ -24,7 +24,7 @@ fn assert_found(folder: &Folder, file: impl Fn(usize) -> String) {
     assert_eq!(found, expected);
 }
 
-fn renamed(name: impl Fn(usize) -> String) -> ColmapModel<'static> {
+pub fn renamed(name: impl Fn(usize) -> String) -> ColmapModel<'static> {
     let mut scene = scene();
     for (n, view) in scene.views.iter_mut().enumerate() {
         view.name = name(n);

@@ -1,7 +1,7 @@
 //! Undistorted models and the images that they were made from are told apart, and the advice where
 //! something is missing can be followed.
 
-use super::*;
+use super::{images::renamed, *};
 
 /// The model of a camera with lens distortion.
 pub fn distorted() -> ColmapModel<'static> {
@@ -355,7 +355,6 @@ fn a_workspace_of_plain_names_is_that_of_a_model_with_others() {
         assert_eq!(code, 0, "{stderr}");
         assert!(folder.at("dense/viewrank/manifest.json").is_file());
     }
-    // The project's own scene has the names that lists for the workspace need.
     assert!(names(&folder.read()).contains(&"view_0.png"));
 
     // As COLMAP undistorts it, with the names as they were.
@@ -370,7 +369,43 @@ fn a_workspace_of_plain_names_is_that_of_a_model_with_others() {
     );
     let (code, _, stderr) = folder.plan(&["--backend", "colmap"]);
     assert_eq!(code, 0, "{stderr}");
-    assert!(names(&folder.read()).contains(&"./view_0.png"));
+    assert!(names(&folder.read()).contains(&"view_0.png"));
     let list = fs::read_to_string(folder.at("dense/stereo/patch-match.cfg")).unwrap();
     assert!(list.contains("./view_0.png"), "{list}");
+}
+
+#[test]
+fn a_workspace_with_names_that_are_no_plain_paths_can_be_exported() {
+    let taken = [
+        ("./view_#.png", true),
+        (".//view_#.png", true),
+        ("may/.//view_#.png", true),
+        (r"may\view_#.png", true),
+        ("may/../view_#.png", false),
+        ("../images/view_#.png", false),
+    ];
+    for (pattern, colmap_takes_it) in taken {
+        let folder = Folder::new();
+        let name = |n: usize| pattern.replace('#', &n.to_string());
+        workspace(&folder, ".", &renamed(name));
+        folder
+            .pictures(&scene(), |name| format!("images/may/{name}"))
+            .write("stereo/depth_maps/notes.txt", "");
+        let read = folder.read();
+        assert_eq!(folder.open().image_faults(&read).missing, [], "{pattern}");
+        for backend in ["openmvs", "sgm", "splat", "pairs", "mvsnet"] {
+            let (code, _, stderr) = folder.plan(&["--backend", backend]);
+            assert_eq!(code, 0, "{pattern} for {backend}: {stderr}");
+        }
+        let (code, _, stderr) = folder.plan(&["--backend", "colmap"]);
+        let list = fs::read_to_string(folder.at("stereo/patch-match.cfg"));
+        if colmap_takes_it {
+            assert!(
+                list.unwrap().lines().any(|line| line == name(0)),
+                "{pattern}: {stderr}"
+            );
+        } else {
+            assert!(code == 1 && stderr.contains("--out"), "{pattern}: {stderr}");
+        }
+    }
 }

@@ -506,7 +506,7 @@ pub(super) fn poses(root: &Path, model: &ModelLocation) -> Option<Poses> {
 }
 
 /// Names of the images in the model of a workspace, as they are there.
-pub(super) fn names_in_workspace(workspace: &Path) -> HashSet<String> {
+pub(super) fn names_in_workspace(workspace: &Path) -> Vec<String> {
     let model = colmap_model(&workspace.join("sparse")).ok().flatten();
     let poses = model.and_then(|model| files::poses(&model));
     poses.unwrap_or_default().into_keys().collect()

@@ -136,8 +136,8 @@ impl ImageFolder {
     /// Gives the images of a model the names under which the folder has their files, and finds the
     /// files of those that are not there under their names: spelled otherwise, or in another
     /// sub-folder if only one has a file of that name. No file is that of two images.
-    pub(super) fn name_images(&self, model: &mut ColmapModel, is_workspace: bool) {
-        let spelled = take_names_of_files(model, Some(&self.path), is_workspace);
+    pub(super) fn name_images(&self, model: &mut ColmapModel) {
+        let spelled = take_names_of_files(model, Some(&self.path));
         self.others.get_or_init(|| {
             let names = model.images.iter().map(|image| &*image.name);
             let is_missing =

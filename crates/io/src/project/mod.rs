@@ -17,7 +17,7 @@ mod other_names;
 mod probe;
 
 use std::{
-    collections::{BTreeMap, HashSet},
+    collections::{BTreeMap, HashMap, HashSet},
     path::{Path, PathBuf},
     time::SystemTime,
 };
@@ -406,26 +406,26 @@ impl Project {
                 names,
             });
         }
-        let is_workspace = self.keeps_names(model);
         match &self.images {
-            Some(images) => images.name_images(model, is_workspace),
-            None => drop(names::take_names_of_files(model, None, is_workspace)),
+            Some(images) => images.name_images(model),
+            None => drop(names::take_names_of_files(model, None)),
         }
         Ok(())
     }
 
-    /// Returns whether the names of the images are those of the dense workspace, where COLMAP goes by
-    /// the names of its model: lists for it name them.
-    fn keeps_names(&self, model: &ColmapModel) -> bool {
+    /// Returns the names in the model of the dense workspace, which lists for COLMAP name, of those
+    /// images that have others here, by these.
+    pub fn names_in_workspace(&self) -> HashMap<String, String> {
         let Some(workspace) = &self.dense_workspace else {
-            return false;
+            return HashMap::new();
         };
-        let mut names = model.images.iter().map(|image| &*image.name);
-        if *workspace == self.root || names.clone().all(names::is_plain) {
-            return true;
-        }
         let there = discover::names_in_workspace(workspace);
-        names.all(|name| there.contains(name))
+        let mut here = there.clone();
+        let own = self.images.as_deref().filter(|_| *workspace == self.root);
+        let images = own.map_or_else(|| workspace.join("images"), Path::to_path_buf);
+        names::to_names_of_files(&mut here, Some(&images));
+        let others = here.into_iter().zip(there);
+        others.filter(|(here, there)| here != there).collect()
     }
 
     /// Checks the image files of the scene; finds no faults without an image folder.

@@ -145,49 +145,54 @@ impl Names {
 /// Names the images of a model made on another machine as their files are named here: with
 /// separators of Windows, or with an absolute path of which only the end still holds. Each name
 /// becomes a path below a folder, without `.`, `..` and empty parts, since exports put links and
-/// depth maps in its place; unless `is_workspace`: there COLMAP goes by the names of its model.
+/// depth maps in its place.
 ///
 /// Returns the path of the file, if it is another, by name.
 pub(super) fn take_names_of_files(
     model: &mut ColmapModel,
     images: Option<&Path>,
-    is_workspace: bool,
+) -> HashMap<String, String> {
+    let mut names: Vec<String> = model.images.iter().map(|i| i.name.to_string()).collect();
+    let spelled = to_names_of_files(&mut names, images);
+    for (image, name) in model.images.iter_mut().zip(names) {
+        if image.name != name {
+            image.name = name.into();
+        }
+    }
+    spelled
+}
+
+/// Changes the names of a model's images as [`take_names_of_files`] does.
+pub(super) fn to_names_of_files(
+    names: &mut [String],
+    images: Option<&Path>,
 ) -> HashMap<String, String> {
     if let Some(images) = images {
         let search = ImageSearch::new(vec![images.to_path_buf()]);
-        rename(model, |name| {
-            if !images.join(name).is_file() {
-                name_here(name, images, &search)
-            } else if is_workspace {
-                None
-            } else {
+        rename(names, |name| {
+            if images.join(name).is_file() {
                 from_folder(name, images)
+            } else {
+                name_here(name, images, &search)
             }
         });
     }
-    if is_workspace {
-        return HashMap::new();
-    }
-    rename(model, plain)
+    rename(names, plain)
 }
 
 /// Gives images other names, unless two images would have one: they would be taken for each other.
 /// Returns the names before that, by those after.
-fn rename(
-    model: &mut ColmapModel,
-    other: impl Fn(&str) -> Option<String>,
-) -> HashMap<String, String> {
-    let others: Vec<Option<String>> = model.images.iter().map(|i| other(&i.name)).collect();
+fn rename(names: &mut [String], other: impl Fn(&str) -> Option<String>) -> HashMap<String, String> {
+    let others: Vec<Option<String>> = names.iter().map(|name| other(name)).collect();
     let mut images_of: HashMap<String, usize> = HashMap::new();
-    for (image, other) in model.images.iter().zip(&others) {
-        let name = other.clone().unwrap_or_else(|| image.name.to_string());
-        *images_of.entry(name).or_default() += 1;
+    for (name, other) in names.iter().zip(&others) {
+        let name = other.as_ref().unwrap_or(name);
+        *images_of.entry(name.clone()).or_default() += 1;
     }
     let mut before = HashMap::new();
-    for (image, other) in model.images.iter_mut().zip(others) {
-        if let Some(name) = other.filter(|name| *name != image.name && images_of[name] == 1) {
-            before.insert(name.clone(), image.name.to_string());
-            image.name = name.into();
+    for (name, other) in names.iter_mut().zip(others) {
+        if let Some(other) = other.filter(|other| other != name && images_of[other] == 1) {
+            before.insert(other.clone(), std::mem::replace(name, other));
         }
     }
     before
@@ -234,11 +239,6 @@ fn name_here(name: &str, images: &Path, search: &ImageSearch) -> Option<String> 
     moved
         .find(|moved| moved != name && is_inside(moved) && has_file(moved))
         .or_else(|| ends().find(|end| is_inside(end) && search.finds(end)))
-}
-
-/// Returns whether a name is a plain path below a folder already.
-pub(super) fn is_plain(name: &str) -> bool {
-    plain(name).is_none_or(|plain| plain == name)
 }
 
 /// The name that an image gets, as [`take_names_of_files`] gives it where the file has no other.
