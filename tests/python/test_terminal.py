@@ -158,10 +158,22 @@ def elsewhere(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
 
 
-@pytest.fixture(params=["lines", "one line"], scope="module")
+# With and without line breaks, at which some readers and writers stop.
+FORMS = {"lines": FORGED, "one line": re.sub("[\t\v\r\n]", "", FORGED)}
+
+
+@pytest.fixture(scope="module")
 def forged(request):
-    """With and without line breaks, at which some readers and writers stop."""
-    return FORGED if request.param == "lines" else re.sub("[\t\v\r\n]", "", FORGED)
+    return FORMS[request.param]
+
+
+def in_turn(start):
+    """Each subcommand with one of the forms, in turn, or with both with VIEWRANK_LONG=1."""
+    cases = [(form, subcommand) for j, form in enumerate(FORMS) for i, subcommand in enumerate(subcommands(), start) if LONG or (i + j) % 2 == 0]
+    return pytest.mark.parametrize("forged, subcommand", cases, indirect=["forged"])
+
+
+both = pytest.mark.parametrize("forged", FORMS, indirect=True)
 
 
 @pytest.fixture(scope="module")
@@ -172,7 +184,7 @@ def world(fixtures, tmp_path_factory, forged):
     return root, project, make_maps(project, forged), program(root, forged)
 
 
-@pytest.mark.parametrize("subcommand", subcommands())
+@in_turn(0)
 def test_every_subcommand(world, forged, subcommand):
     _, project, maps, matcher = world
     if not (project / "viewrank").exists():
@@ -181,7 +193,7 @@ def test_every_subcommand(world, forged, subcommand):
     assert any(said), "something is said"
 
 
-@pytest.mark.parametrize("subcommand", subcommands())
+@in_turn(1)
 def test_arguments(world, forged, subcommand):
     root, project, *_ = world
     checked(subcommand, root / f"nowhere{forged}")
@@ -194,7 +206,8 @@ def test_arguments(world, forged, subcommand):
             checked(subcommand, *words, limit=1 if subcommand == "watch" else 20)
 
 
-def test_settings(world, fixtures, tmp_path, forged):
+@both
+def test_settings(fixtures, tmp_path, forged):
     """Each setting with such a value, which is refused or used, and printed again as a settings file of the same value."""
     project = tmp_path / "project"
     shutil.copytree(fixtures / "valley", project)
@@ -203,7 +216,10 @@ def test_settings(world, fixtures, tmp_path, forged):
     basic = "".join(c if c.isascii() and c.isprintable() and c not in "\"\\" else f"\\U{ord(c):08x}" for c in forged)
     broken = [f'"{basic}" = 1', f"[{forged}", f'seed = "{forged}"', f'partners."{basic}" = 2']
     accepted = 0
-    for text in [f'{key} = {value}' for key in keys for value in (f'"{basic}"', f'["{basic}"]')] + broken:
+    typed = [f"{key} = {value}" for key in keys for value in (f'"{basic}"', f'["{basic}"]')]
+    # Half of them with each of the forms without VIEWRANK_LONG=1.
+    typed = [text for i, text in enumerate(typed) if LONG or (i // 2 + i + (forged == FORGED)) % 2]
+    for text in typed + broken:
         (project / "viewrank.toml").write_text(text)
         code, printed = on_terminal("config", project)
         shown = check(text, printed)
@@ -241,6 +257,7 @@ def keys_of(value):
     return set()
 
 
+@both
 def test_earlier_files(fixtures, tmp_path, forged):
     """Strings of each file that viewrank wrote."""
     project = tmp_path / "project"
@@ -253,7 +270,7 @@ def test_earlier_files(fixtures, tmp_path, forged):
     for path in files:
         whole = path.read_bytes()
         value = json.loads(whole)
-        for name in spread([*sorted(keys_of(value)), None], 3):
+        for name in spread([*sorted(keys_of(value)), None], 2):
             path.write_text(json.dumps(replaced(value, name, forged)))
             for command in (["status", tmp_path], ["status", project, "--json"], ["doctor", project], ["export", project, "--dry-run"],
                             ["dispatch", project, "--dry-run", "--backend", "openmvs"]):
@@ -266,6 +283,7 @@ def test_earlier_files(fixtures, tmp_path, forged):
     checked("status", tmp_path, "--follow", limit=1.5)
 
 
+@both
 def test_models_of_other_programs(fixtures, tmp_path, forged):
     """Words of text formats, each in place of those of a fixture."""
     read = 0
@@ -274,7 +292,7 @@ def test_models_of_other_programs(fixtures, tmp_path, forged):
         shutil.copytree(path.parent, folder)
         text = path.read_text(errors="surrogateescape")
         words = sorted(set(re.findall(r"[A-Za-z_][A-Za-z_0-9.]{3,}", text)), key=lambda word: (len(word), word))
-        for word in spread(words, 3):
+        for word in spread(words, 2):
             (folder / path.name).write_text(text.replace(word, word + forged), errors="surrogateescape")
             checked("inspect", folder)
         read += 1
