@@ -96,7 +96,7 @@ def checked(results):
 
 
 def splats(of_sets, with_sets=True):
-    """PSNR of splats by the order that their images are taken in, means over the trainings; for each share of the images the sets, then their mean."""
+    """PSNR of splats by the order that their images are taken in, means over the trainings; for each share of the images their mean, for the smaller ones the sets, too."""
     names = list(dict.fromkeys(row["order"] for rows in of_sets.values() for row in rows))
     lines = []
     for share in sorted({row["share"] for rows in of_sets.values() for row in rows}):
@@ -106,7 +106,7 @@ def splats(of_sets, with_sets=True):
             if rows:
                 for means, kind in ((psnr, "psnr"), (ssim, "ssim")):
                     means.append([mean([row[kind] for row in rows if row["order"] == name]) for name in names])
-                if with_sets:
+                if with_sets and share < 0.5:
                     lines.append([f"{of_set}, {rows[0]['images']} images", *(f"{of_order:.2f}" for of_order in psnr[-1])])
         both = zip(zip(*psnr), zip(*ssim))
         lines.append([f"mean at {100 * share:.0f} % (SSIM)", *(f"{mean(of_psnr):.2f} ({mean(of_ssim):.3f})" for of_psnr, of_ssim in both)])
@@ -114,16 +114,13 @@ def splats(of_sets, with_sets=True):
 
 
 def partners(results):
-    """Clouds by numbers of partners against exact depth."""
-    programs = {"openmvs": "OpenMVS", "sgm": "sgm"}
+    """Clouds of OpenMVS by numbers of partners against exact depth."""
     rows = []
-    for result in sorted(results, key=lambda result: (list(programs).index(result["matcher"]), list(SETS).index(result["set"]))):
-        for row in result["rows"] if result["exact"] else []:
+    for result in sorted(results, key=lambda result: list(SETS).index(result["set"])):
+        for row in result["rows"] if result["exact"] and result["matcher"] == "openmvs" else []:
             at_work = [f"{100 * at['F1']:.1f} ({at['maps']})" for at in row["at"]]
-            first = f"{programs[result['matcher']]}, {result['set']}" if row is result["rows"][0] else ""
-            rows.append([first, str(row["k"]), f"{row['seconds']:.0f}", f"{100 * row['F1']:.1f}", *at_work])
-    head = ["program, set", "k", "CPU s", "F1", *(f"F1 in {share} of the time" for share in ("¼", "½", "all"))]
-    return table(head, rows) if rows else []
+            rows.append([result["set"], str(row["k"]), f"{row['seconds']:.0f}", f"{100 * row['F1']:.1f}", *at_work])
+    return table(["set", "k", "CPU s", "F1", *(f"F1 in {share} of the time" for share in ("¼", "½", "all"))], rows) if rows else []
 
 
 def mean(values):
