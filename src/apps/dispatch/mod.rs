@@ -285,12 +285,6 @@ impl Dispatch {
         files
     }
 
-    /// Fails unless the scripts of the export are there as they are written.
-    pub fn refuse_other_programs(&self) -> Result<(), DispatchError> {
-        let mut scripts = self.scripts.iter();
-        scripts.try_for_each(|(name, bytes)| self.refuse_other_file(name, bytes))
-    }
-
     fn refuse_other_file(&self, name: &str, bytes: &[u8]) -> Result<(), DispatchError> {
         match output::is_own(&self.workplace, name, bytes) {
             Ok(true) => Ok(()),
