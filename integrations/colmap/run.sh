@@ -12,13 +12,13 @@ cd ../..
 # What a killed viewrank run left is in nobody's way. The folder of pictures may be a link.
 refuse_strangers /dev/null stereo sparse -path stereo/viewrank/unfinished -prune -o
 refuse_no_files -H images
-# The lists name files below the folders of maps: no path in them may lead out of these. A mark is a hash.
+# The lists name files below the folders of maps: no path in them may lead out of these. A mark is a hash. Each mark takes a few processes, so there are no more than the plan has.
 marks=stereo/viewrank/marks.tsv
 for list in "$marks" stereo/patch-match.cfg stereo/viewrank/*.cfg; do
     # Tools read on at a NUL in different ways.
     [ ! -f "$list" ] || { refuse_long "$list" && [ "$(LC_ALL=C tr -d '\t\n\040-\176\200-\377' < "$list" | head -c 1 | wc -c)" -eq 0 ] && LC_ALL=C awk -v marks="$marks" '
         { path = $0 }
-        FILENAME == marks { wrong = !sub(/^[0-9a-f]+\t[0-9a-f]+\t/, "", path) || path == "" }
+        FILENAME == marks { wrong = NR > @LINES@ || !sub(/^[0-9a-f]+\t[0-9a-f]+\t/, "", path) || path == "" }
         wrong || path ~ /(^|,)[ \t]*(\/|\.\.(\/|$))|\/\.\.(\/|$)/ { exit 1 }' "$list" 2>/dev/null; } || refuse "$list"
 done
 # Another run.sh would remove maps that this one is writing. What COLMAP itself holds open keeps the lock as long as it computes.

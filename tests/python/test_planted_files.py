@@ -120,12 +120,21 @@ HASH = "0123456789abcdef"
 @pytest.mark.parametrize("line", [f"{HASH}\t{HASH}\t../../user.bin", f"{HASH}\t{HASH}\ta/../../user.bin", f"{HASH}\t{HASH}\t/user.bin", f"{HASH}\t{HASH}\t..", f"{HASH}\t{HASH}\t",
                                   f"../{HASH}\t{HASH}\ta.bin", f"\t{HASH}\ta.bin", f"{HASH}\t$(id)\ta.bin", "a.bin", f"{HASH.upper()}\t{HASH}\ta.bin"])
 def test_marks_lead_to_no_maps_elsewhere(colmap, line):
-    with open(colmap.folder / "stereo/viewrank/marks.tsv", "a") as file:
-        file.write(line + "\n")
+    marks = colmap.folder / "stereo/viewrank/marks.tsv"
+    marks.write_text("".join(marks.read_text().splitlines(keepends=True)[1:]) + line + "\n")
     (colmap.folder / "user.bin").write_bytes(b"user")
     done, calls = colmap.run(script=RUN)
     assert done.returncode == 1 and "marks.tsv" in done.stderr and not calls
     assert (colmap.folder / "user.bin").read_bytes() == b"user"
+
+
+def test_more_marks_than_the_plan_has_are_not_looked_at(colmap):
+    marks = colmap.folder / "stereo/viewrank/marks.tsv"
+    with open(marks, "a") as file:
+        file.write(marks.read_text().splitlines(keepends=True)[0])
+    done, calls = colmap.run(script=RUN)
+    assert done.returncode == 1 and "marks.tsv" in done.stderr and not calls
+    assert not (colmap.folder / "stereo/viewrank/done").exists()
 
 
 @pytest.mark.parametrize("name", ["../../user", "/user", "a/../../user"])

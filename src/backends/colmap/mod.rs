@@ -165,8 +165,9 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         }
     };
     passes.add_files(selection, &mut files, &mut record);
-    files.add_text(MARKS, marks::to_tsv(&passes.listed_maps(selection)));
-    files.add_script(SCRIPT, script(&record));
+    let listed = passes.listed_maps(selection);
+    files.add_text(MARKS, marks::to_tsv(&listed));
+    files.add_script(SCRIPT, script(&record, listed.len()));
     files.add_text("stereo/viewrank/export.json", record.to_json());
     Ok(Export { files, record })
 }
@@ -543,13 +544,15 @@ fn fusion_options(kind: &str, maps: usize, images: usize) -> String {
     )
 }
 
-/// Returns `run.sh`, which runs the commands of the record in the workspace.
-fn script(record: &ExportRecord) -> String {
+/// Returns `run.sh`, which runs the commands of the record in the workspace. `lines`: those of the
+/// list of marks.
+fn script(record: &ExportRecord, lines: usize) -> String {
     let (fusion, maps) = record.commands.split_last().expect("the maps are fused");
     let command = |c: &String| c.replacen("colmap", "\"${COLMAP:-colmap}\"", 1);
     let maps: Vec<String> = maps.iter().map(command).collect();
     let unfinished = format!("{OWN}unfinished.ply");
     with_refusal(include_str!("../../../integrations/colmap/run.sh"))
+        .replacen("@LINES@", &lines.to_string(), 1)
         .replacen("@MAPS@", &maps.join("\n"), 1)
         .replacen("@FUSION@", &command(fusion).replace(FUSED, &unfinished), 1)
 }
