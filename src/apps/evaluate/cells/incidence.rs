@@ -81,23 +81,6 @@ impl Lists {
     }
 }
 
-/// Returns the n-th smallest of these numbers, n = 1, 2, ...
-fn smallest(numbers: &mut [u32], n: u32) -> Option<u32> {
-    if numbers.len() < n as usize {
-        return None;
-    }
-    // Most programs want two maps, and rows are many and short.
-    if n == 2 {
-        let of_two = |[first, second]: [u32; 2], &number: &u32| {
-            [first.min(number), second.min(first.max(number))]
-        };
-        let [_, second] = numbers.iter().fold([u32::MAX; 2], of_two);
-        return Some(second);
-    }
-    let (_, &mut nth, _) = numbers.select_nth_unstable((n as usize).checked_sub(1)?);
-    Some(nth)
-}
-
 /// Cells in which the same maps take part.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Row {
@@ -227,18 +210,20 @@ impl Incidence {
     /// Returns the share of the cells that the first i maps of an order cover, for i = 0, 1, ...: of
     /// all cells, and of those where three maps agree.
     pub fn curves(&self, order: &[u32]) -> [Vec<f64>; 2] {
-        let mut number_of = vec![u32::MAX; self.names.len()];
-        for (number, &map) in (1..).zip(order) {
-            number_of[map as usize] = number;
-        }
+        let mut is_left = vec![true; self.names.len()];
+        let mut taken = vec![0; self.cells.len()];
         let mut added = vec![[0_u64; 2]; order.len() + 1];
-        let mut numbers = Vec::new();
-        for (maps, cells) in self.maps_of.iter().zip(&self.cells) {
-            numbers.clear();
-            numbers.extend(maps.iter().map(|&map| number_of[map as usize]));
-            let last = smallest(&mut numbers, self.support);
-            if let Some(added) = last.and_then(|last| added.get_mut(last as usize)) {
-                (0..2).for_each(|i| added[i] += u64::from(cells[i]));
+        for (added, &map) in added[1..].iter_mut().zip(order) {
+            if !std::mem::take(&mut is_left[map as usize]) {
+                continue;
+            }
+            // Its rows ascend, so that memory is read in order.
+            for &row in self.rows_of(map) {
+                taken[row as usize] += 1;
+                if taken[row as usize] == self.support {
+                    let cells = self.cells[row as usize];
+                    (0..2).for_each(|i| added[i] += u64::from(cells[i]));
+                }
             }
         }
         CountedCells::BOTH.map(|counted| {
@@ -453,15 +438,6 @@ mod tests {
     }
 
     #[test]
-    fn the_smallest_numbers_are_found_in_any_order() {
-        for numbers in [[1, 2, 3, 3], [3, 2, 3, 1], [2, 3, 1, 3], [3, 3, 2, 1]] {
-            let nth = |n| smallest(&mut numbers.clone(), n);
-            let all = [0, 1, 2, 3, 4, 5].map(nth);
-            assert_eq!(all, [None, Some(1), Some(2), Some(3), Some(3), None]);
-        }
-    }
-
-    #[test]
     fn a_cell_is_covered_by_as_many_of_its_maps_as_fusion_wants() {
         let table = table();
         assert_eq!(
@@ -469,6 +445,7 @@ mod tests {
             [[0.0, 0.0, 0.5, 0.9, 0.9], [0.0, 0.0, 1.0, 1.0, 1.0]]
         );
         assert_eq!(table.curves(&[]), [[0.0]; 2]);
+        assert_eq!(table.curves(&[2, 2, 1])[0], [0.0, 0.0, 0.0, 0.5]);
         let covered = |number: usize| table.covered(&[5, 3, 1, 0][..number], CountedCells::All);
         let [all, _] = table.curves(&[5, 3, 1, 0]);
         assert_eq!(all, [0, 1, 2, 3, 4].map(covered));
