@@ -74,9 +74,15 @@ def title(result):
 
 
 def covered(results):
-    """All cells covered at 10, 20, 30 and 50 % of the maps by each order."""
-    rows = [[title(result), *(" ".join(f"{100 * share:.0f}" for share in order(result, one)["covered"]) for one in ORDERS)] for result in results]
-    return table(["set, maps", *ORDERS], rows) if rows else []
+    """All cells covered at 10, 20, 30 and 50 % of the maps by each order, and the way of ours."""
+    if not results:
+        return []
+    rows = []
+    for result in results:
+        shares = [" ".join(f"{100 * share:.0f}" for share in order(result, one)["covered"]) for one in ORDERS]
+        way = " ".join("–" if way is None else f"{way:.2f}".replace("0.", ".") for way in order(result, "ours")["way"])
+        rows.append([title(result), *shares, way])
+    return table(["set, maps", *ORDERS, "way of ours"], rows)
 
 
 def default(results):
