@@ -1,24 +1,23 @@
 # Refuses to start where anything at or below the paths is neither a file nor a folder: the script, or the program that it calls, would follow a link out
-# of this folder, and wait for a pipe for ever. LINKS lists the links that viewrank made itself: LINKS PATH...
+# of this folder, and wait for a pipe for ever. The input lists the links that viewrank made itself: PATH...
 refuse_strangers() {
-    links=$1
-    shift
-    if [ "$links" != /dev/null ] && { [ -L "$links" ] || [ ! -f "$links" ]; }; then
-        refuse "$links"
-    fi
-    [ "$links" = /dev/null ] || refuse_long "$links"
     # A folder that cannot be listed may hide links, and a line break in a name would make two entries of one. Names are bytes in any encoding. The word at
     # the end says that all were looked at.
-    found=$(LC_ALL=C find "$@" '(' ! -type f ! -type d -o -type d ! -perm -500 -o -name '*
+    found=$({
+        cat
+        echo
+        LC_ALL=C find "$@" '(' ! -type f ! -type d -o -type d ! -perm -500 -o -name '*
 *' ')' -print -o -type d -exec sh -c '
         for folder; do
             [ -r "$folder" ] && [ -x "$folder" ] || printf "%s\n" "$folder"
-        done' sh '{}' + 2>/dev/null | LC_ALL=C awk -v links="$links" '
-        BEGIN { while ((getline link < links) > 0) known[link] }
+        done' sh '{}' + 2>/dev/null || :
+    } | LC_ALL=C awk '
+        $0 == "" && !listed { listed = 1; next }
+        !listed { known[$0]; next }
         !($0 in known) && !stranger { stranger = 1; print }
-        END { if (!stranger) print "none" }')
+        END { if (listed && !stranger) print "none" }')
     [ "$found" = none ] || refuse "$found"
-    [ "$links" = /dev/null ] || refuse_no_files "$@"
+    refuse_no_files "$@"
 }
 # Refuses what is in the place of a picture, which may be a link: a pipe, a device, and a link to one or to a folder, of which a program would copy a whole
 # file system, or wait for ever. A link that leads nowhere is a picture that is missing, which the program says. PATH...

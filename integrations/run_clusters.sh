@@ -4,7 +4,9 @@
 set -u
 @RESTART@
 @REFUSE_STRANGERS@
-refuse_strangers links.txt .
+refuse_strangers . << 'LINKS'
+@LINKS@
+LINKS
 tried mkdir -p older || exit 1
 failed=0
 fail() {

@@ -3,5 +3,7 @@
 set -eu
 @RESTART@
 @REFUSE_STRANGERS@
-refuse_strangers links.txt .
+refuse_strangers . << 'LINKS'
+@LINKS@
+LINKS
 own_files .

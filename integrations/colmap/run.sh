@@ -10,7 +10,7 @@ fi
 cd ../..
 @REFUSE_STRANGERS@
 # What a killed viewrank run left is in nobody's way. The folder of pictures may be a link.
-refuse_strangers /dev/null stereo sparse -path stereo/viewrank/unfinished -prune -o
+refuse_strangers stereo sparse -path stereo/viewrank/unfinished -prune -o < /dev/null
 refuse_no_files -H images
 # The lists name files below the folders of maps: no path in them may lead out of these. A mark is a hash. Each mark takes a few processes, so there are no more than the plan has.
 marks=stereo/viewrank/marks.tsv

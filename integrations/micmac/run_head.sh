@@ -22,7 +22,7 @@ if [ -e Ori-viewrank ] && [ ! -e Ori-viewrank/made-by-viewrank ]; then
     say "error: $copy is there and not made by this script; move it away" >&2
     exit 1
 fi
-refuse_strangers /dev/null "$ori"
+refuse_strangers "$ori" < /dev/null
 # MicMac obeys the rules in this file, which may hold commands, wherever it is called.
 rules=MicMac-LocalChantierDescripteur.xml
 [ ! -e "$rules" ] || refuse "$rules"

@@ -5,7 +5,9 @@ set -eu
 @RESTART@
 @REFUSE_STRANGERS@
 # What a killed viewrank run left is in nobody's way.
-refuse_strangers links.txt . -path ./unfinished -prune -o
+refuse_strangers . -path ./unfinished -prune -o << 'LINKS'
+@LINKS@
+LINKS
 alone .
 own_files .
 tried mkdir -p done

@@ -4,7 +4,9 @@
 set -eu
 @RESTART@
 @REFUSE_STRANGERS@
-refuse_strangers links.txt .
+refuse_strangers . << 'LINKS'
+@LINKS@
+LINKS
 # A link on the way to the folder that is replaced would lead out of the project.
 PROJECT=${1:?folder of the project of ODX or ODM, whole path}
 case $PROJECT in

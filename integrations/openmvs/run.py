@@ -64,6 +64,8 @@ HERE = Path(__file__).resolve().parent
 WORK = HERE / "unfinished"  # viewrank looks for no depth maps there
 MARKS = HERE / "done"  # of finished maps, which viewrank reads
 MOST_BYTES_OF_A_RECORD = 128 << 20
+# The links to pictures that viewrank made, a line each:
+# @LINKS@
 
 
 def main():
@@ -97,8 +99,9 @@ def arguments():
 
 
 def refuse_strangers(top):
-    """Ends where anything here is neither a file nor a folder nor a link to a picture that links.txt lists: it would be followed out of this folder, or a pipe waited for."""
-    links = set(read_record(top / "links.txt").split("\n"))
+    """Ends where anything here is neither a file nor a folder nor a link to a picture that this script lists: it would be followed out of this folder, or a pipe waited for."""
+    lines = Path(__file__).read_text(encoding="utf-8").split("\n")
+    links = {line[2:] for line in lines if line.startswith("# ./")}
     for folder, folders, files in os.walk(top, onerror=refuse_unlisted):
         names = [*folders, *files]
         if Path(folder) == WORK:

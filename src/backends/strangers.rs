@@ -22,8 +22,8 @@ pub fn with_refusal(script: &str) -> String {
         .replacen("@REFUSE_STRANGERS@\n", REFUSE, 1)
 }
 
-/// Adds `run.sh`, which runs the commands of an export one after the other, and `links.txt`; the
-/// export's files are complete but for its record.
+/// Adds `run.sh`, which runs the commands of an export one after the other; the export's files are
+/// complete but for its record.
 pub fn add_runner(files: &mut FileSet, record: &mut ExportRecord) {
     let head = with_refusal(include_str!("../../integrations/run_commands.sh"));
     record.runner = Some("run.sh".into());
@@ -31,14 +31,29 @@ pub fn add_runner(files: &mut FileSet, record: &mut ExportRecord) {
     list_links(files);
 }
 
-/// Adds `links.txt`, the links of an export, as `find .` names them: any other is refused.
+/// Puts the links of an export, as `find .` names them, where its script has the line `@LINKS@`: any
+/// other is refused. In a list of their own somebody could add to them.
 pub fn list_links(files: &mut FileSet) {
     let is_link = |(path, contents): (&String, &Contents)| {
         // With a line break it would be two lines, of which one may name somebody else's link.
         let is_named =
             matches!(contents, Contents::Link { .. }) && !path.contains(char::is_control);
-        is_named.then(|| format!("./{path}\n"))
+        is_named.then(|| path.clone())
     };
-    let links: String = files.files.iter().filter_map(is_link).collect();
-    files.add_text("links.txt", links);
+    let links: Vec<String> = files.files.iter().filter_map(is_link).collect();
+    for contents in files.files.values_mut() {
+        if let Contents::Script(script) = contents
+            && let Some(with_links) = with_links(&String::from_utf8_lossy(script), &links)
+        {
+            *script = with_links.into_bytes();
+        }
+    }
+}
+
+/// `None` for a script without the line. In Python it is a comment, as each link then is.
+fn with_links(script: &str, links: &[String]) -> Option<String> {
+    let (before, after) = script.split_once("@LINKS@\n")?;
+    let (before, prefix) = before.split_at(before.rfind('\n')? + 1);
+    let links = links.iter().map(|link| format!("{prefix}./{link}\n"));
+    Some(before.to_owned() + &links.collect::<String>() + after)
 }

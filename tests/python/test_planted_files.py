@@ -92,11 +92,17 @@ def test_a_folder_whose_name_ends_in_a_line_break(work):  # noqa: F811
         assert done.stdout == f"{folder}\n", f"{command}: {done.stdout}{done.stderr}"
 
 
-def test_lists_that_are_too_long_are_not_read(work, tmp_path):  # noqa: F811
-    pmvs = work("pmvs", {"pmvs2": "#!/bin/sh\nexit 0\n"})
-    os.truncate(pmvs.folder / "links.txt", 1 << 32)
-    done, _ = pmvs.run()
-    assert done.returncode == 1 and "links.txt: longer than the 64 MiB" in done.stderr
+@pytest.mark.parametrize("backend, program", [("pmvs", "pmvs2"), ("gipuma", "gipuma"), ("mve", "dmrecon")])
+def test_a_list_of_links_lets_no_link_pass(work, tmp_path, backend, program):  # noqa: F811
+    """Those that viewrank made are in the script."""
+    export = work(backend, {program: "#!/bin/sh\necho called >> calls.txt\n"})
+    (tmp_path / "outside").write_text(SECRET)
+    (export.folder / "other.jpg").symlink_to(tmp_path / "outside")
+    (export.folder / "links.txt").write_text("./other.jpg\n")
+    done, calls = export.run()
+    assert done.returncode == 1 and "error: ./other.jpg: not made by viewrank" in done.stderr and not calls
+    (export.folder / "other.jpg").unlink()
+    assert export.run()[1], "a list by itself is in nobody's way"
 
 
 # COLMAP
@@ -264,7 +270,7 @@ def run_py(exported):
 
 
 @pytest.mark.parametrize("how", ODD)
-@pytest.mark.parametrize("name", ["run.json", "links.txt", "done"])
+@pytest.mark.parametrize("name", ["run.json", "done"])
 def test_odd_records_end_the_run_with_one_error(exported, name, how):
     put(exported.folder / name, how)
     done = run_py(exported)

@@ -211,11 +211,11 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     files.add_text("run.json", to_json(&run));
     files.add_text("dense.cfg", dense_config(selection));
     files.add_text("options.cfg", run::NO_OPTIONS);
-    list_links(&mut files);
     files.add_script(
         "run.py",
         include_str!("../../../integrations/openmvs/run.py"),
     );
+    list_links(&mut files);
     let mut record = record_of(selection);
     record.moved(near.origin);
     Ok(Export::new(files, record))
