@@ -15,6 +15,7 @@ use crate::{
     base::{pixels::PixelBound, platform},
     io::{
         depthmaps::{self, DepthMapError, DepthMapFormat},
+        json::place_and_fault,
         output::{self, Contents, Disk},
     },
 };
@@ -81,7 +82,9 @@ impl<'a> Call<'a> {
 
     /// Reads a [list](Self::list) in JSON.
     pub fn read<T: DeserializeOwned>(&self, name: &str) -> Result<T, String> {
-        serde_json::from_slice(self.list(name)?).map_err(|error| format!("{name}: {error}"))
+        let list = self.list(name)?;
+        serde_json::from_slice(list)
+            .map_err(|error| format!("{name}, {}", place_and_fault(&error, list)))
     }
 
     /// The row of a task in a list of the export. `task`: rank and mark of a row; another plan may

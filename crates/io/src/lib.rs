@@ -10,6 +10,7 @@ pub mod formats;
 pub mod image;
 pub mod input;
 pub mod jpeg;
+pub mod json;
 pub mod mistaken;
 pub mod npy;
 pub mod output;

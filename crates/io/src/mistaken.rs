@@ -113,7 +113,7 @@ pub fn json_without_frames(path: &Path, fault: &Fault) -> Option<Mistaken> {
     let Problem::Json(what) = &fault.problem else {
         return None;
     };
-    if !what.contains("missing field `frames`") {
+    if !what.contains("\"frames\" is missing") {
         return None;
     }
     let start = input::read_start(path, FileKind::Sparse, START).ok()?;

@@ -16,7 +16,10 @@ use crate::{
         error::{Advice, Hint},
         input::{self, FileKind},
     },
-    io::depthmaps::{self, DepthMapFile, DepthMapFormat},
+    io::{
+        depthmaps::{self, DepthMapFile, DepthMapFormat},
+        json::place_and_fault,
+    },
     model::{
         cluster::ViewCluster,
         scene::{Scene, ViewIndex},
@@ -100,7 +103,7 @@ fn read_file(path: PathBuf, scene: &Scene) -> Result<Report, MatcherReportError>
     };
     let file: File = serde_json::from_slice(&bytes).map_err(|error| MatcherReportError {
         path: path.clone(),
-        what: error.to_string(),
+        what: place_and_fault(&error, &bytes),
     })?;
     let entry = |row: &Row| {
         let partners = |wanted: fn(&&Partner) -> bool| {

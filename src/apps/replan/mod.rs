@@ -29,6 +29,7 @@ use crate::{
     decision::FinishedClusters,
     io::{
         depthmaps::{self, DepthMap, DepthMapError, DepthMapFile, DepthMapSet},
+        json::place_and_fault,
         project::Project,
     },
     method::{
@@ -66,7 +67,7 @@ impl EarlierPlan {
         let bytes = manifest::read_own(project, "viewrank/planned_views.json")?;
         let views = serde_json::from_slice(&bytes).map_err(|error| WrittenPlanError::Manifest {
             path,
-            what: error.to_string(),
+            what: place_and_fault(&error, &bytes),
         })?;
         let finished = recorded.clusters.iter().filter(|c| c.finished);
         let finished = finished.map(|c| c.key.clone()).collect();

@@ -72,7 +72,7 @@ impl Hint for RegionFileError {
             RegionFault::Collection(_) => {
                 "export polygons as GeoJSON in WGS 84 (EPSG:4326), or in model units with \"crs\": null"
             }
-            RegionFault::Json(error) if error.is_data() => {
+            RegionFault::Value(_) => {
                 "correct it there: rings are lists of positions, weight and gsd are numbers"
             }
             _ => "give GeoJSON polygons, a closed PLY mesh, or a box x0,y0,z0,x1,y1,z1",

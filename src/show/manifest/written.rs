@@ -19,6 +19,7 @@ use crate::{
     },
     config::{Budget, Settings, Share, TypedSetting},
     io::{
+        json::place_and_fault,
         output::{self, OutputError},
         project::{ImageFaults, Project, ProjectError},
     },
@@ -393,13 +394,13 @@ impl RecordedPlan {
             what: shortened(&what).into_owned(),
         };
         // First, since fields of another version need not be those of this one.
-        let Versioned { version } =
-            serde_json::from_slice(bytes).map_err(|error| refused(error.to_string()))?;
+        let Versioned { version } = serde_json::from_slice(bytes)
+            .map_err(|error| refused(place_and_fault(&error, bytes)))?;
         if version != VERSION {
             return Err(WrittenPlanError::Version { path, version });
         }
-        let mut recorded: Self =
-            serde_json::from_slice(bytes).map_err(|error| refused(error.to_string()))?;
+        let mut recorded: Self = serde_json::from_slice(bytes)
+            .map_err(|error| refused(place_and_fault(&error, bytes)))?;
         check(&recorded).map_err(refused)?;
         recorded.typed.retain(TypedSetting::is_of_plan);
         recorded.settings.typed = mem::take(&mut recorded.typed);

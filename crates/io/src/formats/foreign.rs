@@ -379,7 +379,7 @@ pub(super) fn json<'a, T: serde::Deserialize<'a>>(bytes: &'a [u8]) -> Result<T, 
                 hint: SPLIT,
             }
         } else {
-            Problem::Json(text)
+            Problem::Json(crate::json::fault(&error, bytes))
         };
         problem.at(place)
     })

@@ -7,7 +7,10 @@ use super::{
     journal::{Direction, FOLDER, JOURNAL, Journal, Root, STAGING, Step, staged},
     record,
 };
-use crate::input::{self, FileKind};
+use crate::{
+    input::{self, FileKind},
+    json,
+};
 
 /// Reads the journal that an earlier process left; `None` if there isn't one.
 ///
@@ -28,8 +31,8 @@ pub(super) fn journal(root: &Root) -> Result<Option<Journal>, OutputError> {
 
 /// Parses and checks a journal; the error says why it is refused.
 fn check(root: &Root, bytes: &[u8]) -> Result<Journal, String> {
-    let journal: Journal =
-        serde_json::from_slice(bytes).map_err(|error| format!("invalid journal: {error}"))?;
+    let journal: Journal = serde_json::from_slice(bytes)
+        .map_err(|error| format!("invalid journal: {}", json::place_and_fault(&error, bytes)))?;
     let change = &journal.change;
     let mut names = change
         .steps

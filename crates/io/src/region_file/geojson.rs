@@ -16,6 +16,7 @@ use viewrank_core::{
 };
 
 use super::{LARGEST, RegionFault};
+use crate::json;
 
 /// Range of weights: 0 leaves an area out, larger numbers would drown all others.
 const WEIGHTS: RangeInclusive<f64> = 0.0..=1e6;
@@ -207,7 +208,15 @@ fn positions_of(area: &Area) -> usize {
 
 /// Reads the areas of a file.
 pub(super) fn read(bytes: &[u8]) -> Result<Areas, RegionFault> {
-    areas(serde_json::from_slice(bytes)?)
+    let node = serde_json::from_slice(bytes);
+    areas(node.map_err(|error| {
+        let what = json::place_and_fault(&error, bytes);
+        if error.is_data() {
+            RegionFault::Value(what)
+        } else {
+            RegionFault::Json(what)
+        }
+    })?)
 }
 
 fn areas(mut node: Node) -> Result<Areas, RegionFault> {

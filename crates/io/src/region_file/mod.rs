@@ -38,8 +38,11 @@ pub enum RegionFault {
     Unknown,
     #[error("it is {}", .0.what)]
     Mistaken(Mistaken),
-    #[error(transparent)]
-    Json(#[from] serde_json::Error),
+    #[error("{0}")]
+    Json(String),
+    /// JSON with a value that is not GeoJSON's.
+    #[error("{0}")]
+    Value(String),
     #[error("{0}")]
     Collection(String),
     /// A ring of polygons, with the place.
