@@ -14,7 +14,7 @@ use crate::{
     },
     io::project::{Project, ProjectError},
     model::scene::Units,
-    plan::metres_per_unit,
+    plan::{metres_per_unit, unused_positions},
 };
 use clap::Args;
 use serde_json::{Value, json};
@@ -22,6 +22,7 @@ use serde_json::{Value, json};
 use super::{
     COLUMNS, Exit, Failure, Format, print_json,
     terminal::{print_data, toml_escaped},
+    warn,
 };
 
 /// Print all settings in force: value, unit, default, and where each value comes from.
@@ -94,6 +95,10 @@ fn load_in(
     // Without the model its unit is unknown, and that is the fault to name.
     if let (Err(ConfigError::NotMetric { .. }), Some(error)) = (&loaded, unread.take()) {
         return Err(error.into());
+    }
+    if let (Err(ConfigError::NotMetric { .. }), Some(project)) = (&loaded, project) {
+        let unused = unused_positions(project, &Settings::default());
+        unused.iter().for_each(|said| warn(said));
     }
     // A stranger's project may say that it is a plan of another folder.
     let is_hidden = |path: &PathBuf| {

@@ -32,7 +32,8 @@ use clap::Args;
 use serde::Serialize;
 
 use super::{
-    Exit, Failure, Format, print, print_json, progress::ProgressDisplay, use_threads, warn,
+    Exit, Failure, Format, print_json, print_sentences, progress::ProgressDisplay, use_threads,
+    warn,
 };
 
 /// Measure finished depth maps: quality reached, what is missing and why.
@@ -271,7 +272,7 @@ fn output(
     match arguments.format {
         Format::Json => print_json(value),
         Format::Text if arguments.quiet => Ok(()),
-        Format::Text => print(text()),
+        Format::Text => print_sentences(text()),
     }
 }
 

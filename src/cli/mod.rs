@@ -35,7 +35,7 @@ use crate::base::advice::on_command_line;
 use crate::base::error::{Hint, shortened};
 use clap::{Parser, Subcommand};
 use rayon::ThreadPoolBuilder;
-use terminal::{COLUMNS, note, print, print_json, warn, wrapped};
+use terminal::{COLUMNS, note, print, print_json, print_sentences, warn, wrapped};
 
 /// Exit code of the program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

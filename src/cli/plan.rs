@@ -26,7 +26,7 @@ use crate::{
         ply,
         project::Project,
     },
-    method::surface::SurfaceError,
+    method::{region::RegionError, surface::SurfaceError},
     plan::{self, Plan, PlanError},
     show::{
         files::PlanFiles,
@@ -40,7 +40,7 @@ use crate::{
 use clap::Args;
 
 use super::{
-    Exit, Failure, Format, arguments, config, next, note, print, print_json,
+    Exit, Failure, Format, arguments, config, next, note, print, print_json, print_sentences,
     progress::ProgressDisplay,
     summary::{Asked, Summary},
     use_threads, warn,
@@ -351,6 +351,8 @@ fn matchable(
             "{} needs undistorted images: planning {place} with the images there",
             backend.name
         ));
+        let others = project.other_workspaces();
+        others.iter().for_each(|said| note(said));
     }
     // It has its images beside its model.
     let images = None;
@@ -495,9 +497,16 @@ fn refused(
     project: &Project,
     settings: &Settings,
 ) -> Failure {
+    if matches!(error, PlanError::Region(_) | PlanError::RegionFile(_)) {
+        let unused = plan::unused_positions(project, settings);
+        unused.iter().for_each(|said| warn(said));
+    }
     let found = match &error {
         PlanError::Region(region) if region.is_of_bare_ground() => {
-            MissedRegion::find(project, settings)
+            let found = MissedRegion::find(project, settings);
+            // A box may be above or below the surface, which photographs of its ground show.
+            let is_box = matches!(region, RegionError::OutsideBox { .. });
+            found.filter(|missed| !is_box || missed.waypoints > 0)
         }
         _ => None,
     };
@@ -786,6 +795,10 @@ fn report(
         Format::Text if !arguments.quiet => summary.text(arguments.verbose),
         Format::Text => Vec::new(),
     };
+    let look = match said[..] {
+        [] => Vec::new(),
+        _ => summary.where_to_look(),
+    };
     // What the summary says, or the error will, is no warning as well.
     let is_said = |warning: &&String| {
         said.iter().any(|line| line.contains(*warning))
@@ -793,7 +806,8 @@ fn report(
     };
     let warnings = summary.warnings.iter();
     let left: Vec<&String> = warnings.filter(|warning| !is_said(warning)).collect();
-    print(said)?;
+    print_sentences(said)?;
+    print(look)?;
     left.into_iter().for_each(|warning| warn(warning));
     let backend = backends::by_name(plan.stages.backend).ok();
     if let Some(not_ready) = backend.and_then(backends::not_ready_here) {

@@ -19,7 +19,7 @@ use crate::{
 use clap::Args;
 use rayon::prelude::*;
 
-use super::{Failure, Format, print, print_json, progress::ProgressDisplay};
+use super::{Failure, Format, print_json, print_sentences, progress::ProgressDisplay};
 
 /// Draw where the backend is expected to succeed.
 ///
@@ -64,7 +64,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
             .collect();
         return print_json(&serde_json::json!({ "files": written }));
     }
-    print(
+    print_sentences(
         files
             .files
             .keys()

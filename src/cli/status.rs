@@ -36,7 +36,8 @@ use clap::Args;
 use serde_json::json;
 
 use super::{
-    Failure, Format, print, print_json, run::target_in_percent, terminal::print_json_line,
+    Failure, Format, print, print_json, print_sentences, run::target_in_percent,
+    terminal::print_json_line,
 };
 
 /// Show what is planned and finished of a project, or of all under a watched folder.
@@ -103,7 +104,7 @@ fn print_unwatched(project: PathBuf, is_json: bool) -> Result<(), Failure> {
         return if is_json {
             print_json(&alone(&project, unmeasured(&plan, maps, others)))
         } else {
-            print([planned_in_words(&plan, maps)].into_iter().chain(others))
+            print_sentences([planned_in_words(&plan, maps)].into_iter().chain(others))
         };
     };
     let gone = maps.as_ref().map_or(0, |maps| number_gone(maps, &progress));
@@ -113,7 +114,7 @@ fn print_unwatched(project: PathBuf, is_json: bool) -> Result<(), Failure> {
         let phase = progress.phase().of_plan_for(&plan.backend);
         print_json(&alone(&project, later_than(phase, later)))
     } else {
-        print(unwatched(&progress, &plan, later))
+        print_sentences(unwatched(&progress, &plan, later))
     }
 }
 

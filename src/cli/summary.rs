@@ -1,4 +1,4 @@
-//! Summary of a plan for users who don't know the method, at 80 columns; as JSON for programs.
+//! Summary of a plan for users who don't know the method; as JSON for programs.
 
 use std::path::{Path, PathBuf};
 
@@ -12,7 +12,7 @@ use crate::{
     io::project::Project,
     method::target::GSD_MARGIN,
     model::{georeference::Georeference, scene::Units},
-    plan::{Cut, CutLimit, Forecast, GivenUp, Memory, Plan, Timings, positions_in_images},
+    plan::{self, Cut, CutLimit, Forecast, GivenUp, Memory, Plan, Timings},
     show::{
         files::PlanFiles,
         manifest::{Manifest, RegionSummary, warnings_with},
@@ -189,14 +189,15 @@ impl<'a> Summary<'a> {
         }
     }
 
-    /// Returns the lines of the summary; all of them if `is_verbose`.
+    /// Returns the lines of the summary, without [`Self::where_to_look`]; all of them if
+    /// `is_verbose`.
     pub fn text(&self, is_verbose: bool) -> Vec<String> {
         let parts = [
             self.found(),
             self.advice(is_verbose),
             self.curve(),
             self.worth(is_verbose),
-            self.where_to_look(),
+            Vec::new(),
         ];
         parts.join(&String::new())
     }
@@ -533,7 +534,8 @@ impl<'a> Summary<'a> {
         ground.is_some_and(|ground| ground.is_incomplete()) || self.missed.is_some()
     }
 
-    fn where_to_look(&self) -> Vec<String> {
+    /// Names the results and the commands to type next, one on a line.
+    pub fn where_to_look(&self) -> Vec<String> {
         let folder = Path::new(&self.project).join("viewrank");
         if self.written {
             let curve = shown_path(&folder.join("curve.svg"));
@@ -631,13 +633,7 @@ fn note_on_gps(project: &Project, plan: &Plan, place: &Georeference) -> Option<S
             significant(support.median)
         )),
         Georeference::Local if plan.stages.settings.frame.gps => {
-            let (_, positions) = positions_in_images(project, &plan.stages.scene);
-            (positions.len() > 1).then(|| {
-                format!(
-                    "The GPS positions of {} images are not used: they do not fit the model's cameras, or are on one line.",
-                    grouped(positions.len())
-                )
-            })
+            plan::unused(project, &plan.stages.scene)
         }
         _ => None,
     }

@@ -15,8 +15,12 @@ use serde::Serialize;
 use super::{Exit, Failure};
 use crate::base::printable::{escaped, json_escaped, printable, to_json};
 
-/// Width of text output, characters.
+/// Width of tables and of text on stderr, characters.
 pub const COLUMNS: usize = 80;
+/// Width of sentences on stdout where there is no terminal, characters.
+const COLUMNS_OF_FILES: usize = 100;
+/// Narrowest terminal at which sentences are wrapped.
+const NARROWEST: usize = 20;
 
 /// Styles of words on stderr, as clap's.
 pub const ERROR: Style = AnsiColor::Red.on_default().bold();
@@ -31,6 +35,20 @@ pub fn print(lines: impl IntoIterator<Item = impl AsRef<str>>) -> Result<(), Fai
             .map(|line| printable(line.as_ref()) + "\n")
             .collect::<String>(),
     )
+}
+
+/// Prints sentences to stdout, wrapped at the width of the terminal; rows of tables, which begin
+/// with a blank, stay whole.
+pub fn print_sentences(lines: impl IntoIterator<Item = impl AsRef<str>>) -> Result<(), Failure> {
+    let columns = terminal_columns().unwrap_or(COLUMNS_OF_FILES);
+    let wrapped = |line: &str| {
+        if line.starts_with(' ') {
+            vec![line.to_owned()]
+        } else {
+            wrapped_at(columns, "", line)
+        }
+    };
+    print(lines.into_iter().flat_map(|line| wrapped(line.as_ref())))
 }
 
 /// Prints a value as indented JSON to stdout.
@@ -115,6 +133,13 @@ pub fn advise(heading: &'static str, style: Style, words: &str) {
     }
 }
 
+/// Width of the terminal that stdout is; `None` where it is none.
+#[expect(clippy::disallowed_methods, reason = "nothing is written")]
+fn terminal_columns() -> Option<usize> {
+    let (width, _) = terminal_size::terminal_size_of(std::io::stdout())?;
+    Some(usize::from(width.0).max(NARROWEST))
+}
+
 #[expect(clippy::disallowed_methods, reason = "nothing is written")]
 pub fn is_stdout_terminal() -> bool {
     std::io::stdout().is_terminal()
@@ -128,11 +153,15 @@ pub fn is_stderr_terminal() -> bool {
 /// Wraps `words` after `heading` at [`COLUMNS`]; a longer word stays whole, so that it can be
 /// copied.
 pub fn wrapped(heading: &str, words: &str) -> Vec<String> {
+    wrapped_at(COLUMNS, heading, words)
+}
+
+fn wrapped_at(columns: usize, heading: &str, words: &str) -> Vec<String> {
     let indent = " ".repeat(heading.len());
     let (mut lines, mut line) = (Vec::new(), heading.to_owned());
     let mut empty = true;
     for word in words.split(' ') {
-        if !empty && line.chars().count() + 1 + word.chars().count() > COLUMNS {
+        if !empty && line.chars().count() + 1 + word.chars().count() > columns {
             lines.push(std::mem::replace(&mut line, indent.clone()));
             empty = true;
         }
@@ -178,6 +207,10 @@ mod tests {
 
     #[test]
     fn lines_wrap_at_the_output_width() {
+        let at = |columns| wrapped_at(columns, "", "one two three");
+        assert_eq!(at(7), ["one two", "three"]);
+        assert_eq!(at(13), ["one two three"]);
+
         let lines = wrapped("warning ", &"word ".repeat(60));
         assert!(lines.iter().all(|line| line.chars().count() <= COLUMNS) && lines.len() > 3);
         assert_eq!(wrapped("- ", "one"), ["- one"]);

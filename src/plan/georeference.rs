@@ -68,6 +68,25 @@ pub fn positions_in_images(project: &Project, scene: &Scene) -> (Vec<Vector3<f64
     views.par_iter().filter_map(position).unzip()
 }
 
+/// Says that the positions in the images do not place the model on earth, if there are any and
+/// nothing else does.
+pub fn unused_positions(project: &Project, settings: &Settings) -> Option<String> {
+    let project = project.clone().with_images(settings.images.as_deref());
+    let scene = project.read_scene().ok()?;
+    let is_unplaced = georeference(&project, &scene, &settings.frame) == Georeference::Local;
+    (settings.frame.gps && is_unplaced).then(|| unused(&project, &scene))?
+}
+
+/// Says that the positions in the images of a model without a place on earth are not used.
+pub fn unused(project: &Project, scene: &Scene) -> Option<String> {
+    let positions = positions_in_images(project, scene).1.len();
+    (positions > 1).then(|| {
+        format!(
+            "The GPS positions of {positions} images are not used: they do not fit the model's cameras, or are on one line."
+        )
+    })
+}
+
 fn from_settings(settings: &FrameSettings) -> Option<Georeference> {
     let utm = settings.utm.as_deref().and_then(Zone::parse);
     let utm = utm.map(|zone| Georeference::Utm {

@@ -27,7 +27,9 @@ pub use decision::{decide, decide_as};
 pub use empty::EmptyPlan;
 pub use error::PlanError;
 pub use finished::{FinishedMaps, MOST_VIEWS, OutdatedMap, PlannedView, PlannedViews};
-pub use georeference::{georeference, metres_per_unit, positions_in_images};
+pub use georeference::{
+    georeference, metres_per_unit, positions_in_images, unused, unused_positions,
+};
 pub use inputs::metres;
 pub use memory::Memory;
 pub use mesh::MeshError;

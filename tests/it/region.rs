@@ -498,3 +498,24 @@ fn a_polygon_beside_the_surface_is_counted_and_its_images_are_planned() {
     planned(folder.path(), &[]);
     assert!(!waypoints.exists(), "they are of an earlier region");
 }
+
+#[test]
+fn a_box_beside_the_surface_gets_what_a_polygon_gets() {
+    let folder = project();
+    let waypoints = folder
+        .path()
+        .join("viewrank/missed-region/waypoints_local.json");
+    // Far away, above the surface, and beside it.
+    for (corners, is_near) in [
+        ("1e5,0,-50,1.00001e5,9,50", false),
+        ("-3,-3,90,3,3,99", false),
+        ("40,0,-50,49,9,50", true),
+    ] {
+        let (code, said) = refused(folder.path(), corners);
+        assert_eq!(code, 1);
+        let share = "No photograph shows 100.0 % of the region";
+        assert_eq!(said.contains(share), is_near, "{said}");
+        assert_eq!(said.contains("viewrank/missed-region"), is_near, "{said}");
+        assert_eq!(waypoints.is_file(), is_near, "{corners}");
+    }
+}

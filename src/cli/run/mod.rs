@@ -317,6 +317,8 @@ fn foreign_workspace(project: &Project, backend: &Backend) -> Result<Option<Proj
     let workspace = planning::undistorted_workspace(project, backend)?;
     if let Some(workspace) = &workspace {
         note_workspace(backend, &workspace.root);
+        let others = project.other_workspaces();
+        others.iter().for_each(|said| note(said));
         Dispatch::refuse_if_at_work(workspace)?;
     }
     Ok(workspace)

@@ -327,6 +327,12 @@ fn a_workspace_that_is_passed_over_for_another_is_named() {
         said.contains(&format!("{used} is used, not {other}")),
         "{said}"
     );
+    // Where the plan is in the workspace, too.
+    for backend in ["openmvs", "colmap", "sgm"] {
+        let (_, _, stderr) = folder.plan(&["--backend", backend]);
+        let said = format!("{used} is used, not {other}");
+        assert!(stderr.contains(&said), "{backend}: {stderr}");
+    }
     // Both are there, and the one of the model's name comes first.
     workspace(&folder, "dense/0", &undistorted);
     let project = folder.open();

@@ -74,6 +74,18 @@ fn positions_that_do_not_fit_are_named() {
         stdout.contains("The GPS positions of 9 images are not used"),
         "{stdout}"
     );
+    // What they keep from being used as it was typed, too.
+    let degrees = r#"{"type":"Polygon","coordinates":[[[13,52],[13.1,52],[13,52.1],[13,52]]]}"#;
+    folder.write("site.geojson", degrees);
+    let region = folder.at("site.geojson").display().to_string();
+    for asked in [["--region", &region], ["--gsd", "2cm"]] {
+        let (code, _, stderr) = folder.plan(&asked);
+        assert_ne!(code, 0, "{stderr}");
+        assert!(
+            stderr.contains("The GPS positions of 9 images are not used"),
+            "{stderr}"
+        );
+    }
 }
 
 #[test]
@@ -380,4 +392,30 @@ fn a_watched_folder_without_a_project_is_said_to_have_none() {
     let (code, _, stderr) = said(&viewrank(&["watch", root, "--once"]));
     assert_eq!(code, 0);
     assert!(stderr.contains("no project was found in"), "{stderr}");
+}
+
+#[test]
+fn sentences_of_a_summary_are_wrapped_and_its_commands_are_not() {
+    let folder = Folder::new();
+    let long = "a folder of a name that is so long that no command with it fits on a line of usual width/project";
+    folder
+        .colmap(
+            &format!("{long}/sparse/0"),
+            &ColmapModel::from_scene(&scene()),
+        )
+        .pictures(&scene(), |name| format!("{long}/images/{name}"))
+        .pictures(&scene(), |name| {
+            format!("{long}/images/of another flight/{name}")
+        });
+    let root = folder.at(long).display().to_string();
+    let (_, stdout, _) = said(&viewrank(&["plan", &root, "--dry-run", "--verbose"]));
+    let commands = stdout.split_once("\nNothing was written").unwrap();
+    assert!(commands.0.lines().all(|line| line.len() <= 100), "{stdout}");
+    assert!(
+        commands
+            .1
+            .lines()
+            .any(|line| line.starts_with("Next: ") && line.contains("project")),
+        "{stdout}"
+    );
 }

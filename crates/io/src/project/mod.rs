@@ -565,17 +565,15 @@ impl Project {
             let text = format!("{} {why}; viewrank writes nothing into it", other.display());
             return Some(ModelWarning::new(WarningKind::OtherWorkspace, text));
         };
-        let others = there.iter().filter(|other| *other != used).take(NAMED);
-        let others: Vec<String> = others.map(|other| other.display().to_string()).collect();
-        (!others.is_empty()).then(|| {
-            let text = format!(
-                "of the workspaces of undistorted images {} is used, not {}",
-                used.display(),
-                others.join(" or ")
-            );
-            let cure = "no action needed; to use another one, name its folder as the project";
-            ModelWarning::new(WarningKind::Format, text).with_cure(cure)
-        })
+        let cure = "no action needed; to use another one, name its folder as the project";
+        let text = passed_over(used, &there)?;
+        Some(ModelWarning::new(WarningKind::Format, text).with_cure(cure))
+    }
+
+    /// Names the other dense workspaces beside the one that is used.
+    pub fn other_workspaces(&self) -> Option<String> {
+        let used = self.dense_workspace.as_ref()?;
+        passed_over(used, &discover::dense_folders(&self.root, &self.model))
     }
 
     /// Names the model that is used, and the others.
@@ -599,6 +597,18 @@ impl Project {
             )
         })
     }
+}
+
+fn passed_over(used: &Path, there: &[PathBuf]) -> Option<String> {
+    let others = there.iter().filter(|other| *other != used).take(NAMED);
+    let others: Vec<String> = others.map(|other| other.display().to_string()).collect();
+    (!others.is_empty()).then(|| {
+        format!(
+            "of the workspaces of undistorted images {} is used, not {}",
+            used.display(),
+            others.join(" or ")
+        )
+    })
 }
 
 /// A name, and what follows each of its folders.

@@ -85,14 +85,16 @@ impl RegionError {
     /// Returns whether the region is beside the surface, at most [`NEAR`] times its size away, or in
     /// a gap of it.
     fn is_near(&self) -> bool {
-        let Self::OutsideMap { region, model, .. } = self else {
-            return false;
-        };
-        let size = |axis: usize| model.high[axis] - model.low[axis];
-        let gap = |axis: usize| {
-            (region.low[axis] - model.high[axis]).max(model.low[axis] - region.high[axis])
-        };
-        (0..2).all(|axis| gap(axis) <= NEAR * size(0).max(size(1)))
+        match self {
+            Self::OutsideMap { region, model, .. } => {
+                are_near([region.low, region.high], [model.low, model.high])
+            }
+            Self::OutsideBox { region, model } => {
+                let corners = |of: &[f64; 6]| [[of[0], of[1], of[2]], [of[3], of[4], of[5]]];
+                are_near(corners(region), corners(model))
+            }
+            _ => false,
+        }
     }
 
     /// Returns whether a polygon that was taken for one in units of the model is probably in degrees.
@@ -118,6 +120,16 @@ impl RegionError {
             model: *model,
         }
     }
+}
+
+/// Returns whether a region is at most [`NEAR`] times the size of the surface away from it along
+/// each axis. Both: low and high corner.
+fn are_near<const N: usize>(region: [[f64; N]; 2], model: [[f64; N]; 2]) -> bool {
+    let sizes = (0..N).map(|axis| model[1][axis] - model[0][axis]);
+    let most = NEAR * sizes.fold(0.0, f64::max);
+    let gap =
+        |axis: usize| (region[0][axis] - model[1][axis]).max(model[0][axis] - region[1][axis]);
+    (0..N).all(|axis| gap(axis) <= most)
 }
 
 fn on_map(Rectangle { low, high }: &Rectangle, is_geodetic: bool) -> String {
@@ -155,7 +167,7 @@ impl Hint for RegionError {
                         .set("target.gsd"),
                 );
             }
-            _ if self.is_near() => {
+            Self::OutsideMap { .. } if self.is_near() => {
                 return Some(
                     Advice::text("no surface means no depth maps: take images of it, which ")
                         .run("plan")
