@@ -86,7 +86,8 @@ impl PictureFolders {
     }
 
     pub fn have_masks(&self) -> bool {
-        !self.masks.is_empty()
+        let by_model = self.images.as_ref().is_some_and(ImageFolder::has_masks);
+        by_model || !self.masks.is_empty()
     }
 
     /// Views whose image is not read, ascending.
@@ -263,7 +264,7 @@ impl PictureFolders {
             .find(|path| path.exists() && !path.is_dir())
     }
 
-    /// The masks that an image may have in each folder: `a.jpg.png` or `a.png` for `a.jpg`, and the
+    /// The masks that an image may have: the one that the model names, and in each folder `a.jpg.png` or `a.png` for `a.jpg`, and the
     /// same for the name of its file if that is another.
     fn mask_files(&self, name: &str) -> impl Iterator<Item = PathBuf> {
         let file = self
@@ -275,9 +276,12 @@ impl PictureFolders {
             .flatten()
             .flat_map(masks_of)
             .collect();
-        self.masks
+        let by_model = self.images.as_ref().and_then(|images| images.mask(name));
+        let by_name = self
+            .masks
             .iter()
-            .flat_map(move |folder| names.clone().into_iter().map(|name| folder.join(name)))
+            .flat_map(move |folder| names.clone().into_iter().map(|name| folder.join(name)));
+        by_model.map(Path::to_path_buf).into_iter().chain(by_name)
     }
 }
 

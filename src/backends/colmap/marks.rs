@@ -11,7 +11,11 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use super::{MARKS, OWN, as_path, cfg::Problem};
+use super::{
+    MARKS, OWN, as_path,
+    cfg::Problem,
+    run::{RUN, Row, Run},
+};
 use crate::{
     backends::{
         KnownMaps,
@@ -68,14 +72,35 @@ pub fn known(depth_maps: &Path) -> KnownMaps {
     };
     let list = output::read_own(&workspace, MARKS, FileKind::Plan).unwrap_or_default();
     let listed = from_tsv(&String::from_utf8_lossy(&list), depth_maps);
+    let at_full_size = ids_at_full_size(&workspace, depth_maps);
     Box::new(move |map| {
         let Some([mark, id]) = listed.get(map) else {
             return false;
         };
         let made_from =
             output::read_own(&workspace, &format!("{OWN}done/{mark}"), FileKind::Record);
-        made_from.is_ok_and(|made_from| made_from.trim_ascii() == id.as_bytes())
+        let of_full_size = at_full_size.get(map);
+        let ids = [Some(id), of_full_size].into_iter().flatten();
+        made_from.is_ok_and(|made_from| {
+            ids.map(String::as_bytes)
+                .any(|id| made_from.trim_ascii() == id)
+        })
     })
+}
+
+/// Returns the content of the mark that a map has if it was made at full size, where it would do for
+/// the plan, too.
+fn ids_at_full_size(workspace: &Path, depth_maps: &Path) -> HashMap<PathBuf, String> {
+    let run = output::read_own(workspace, RUN, FileKind::Plan).unwrap_or_default();
+    let maps = serde_json::from_slice::<Run>(&run).map(|run| run.maps);
+    let map = |row: Row| {
+        let map = map_name(&row.problem.reference, "photometric");
+        (depth_maps.join(map), row.id_at_full_size)
+    };
+    let rows = maps.unwrap_or_default().into_iter();
+    rows.filter(|row| !row.id_at_full_size.is_empty())
+        .map(map)
+        .collect()
 }
 
 /// Returns mark and content by the path of the map. A mark is a hash: no path in the list leads

@@ -397,12 +397,13 @@ impl<'a> Passes<'a> {
             self.last.iter().map(|p| (&*p.reference, p)).collect();
         let row = |(rank, cluster): (usize, &RankedCluster)| {
             let problem = *problems.get(self.names.of(cluster.key))?;
-            let [id, _] = task_ids(&BACKEND, selection, cluster);
+            let [id, id_at_full_size] = task_ids(&BACKEND, selection, cluster);
             let max_image_size = max_image_size(selection, cluster.scale);
             let camera = selection.scene.camera_of(cluster.key);
             Some(Row {
                 rank,
                 id,
+                id_at_full_size,
                 problem: problem.clone(),
                 max_image_size,
                 size: reduced([camera.width, camera.height], max_image_size),

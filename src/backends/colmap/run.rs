@@ -50,6 +50,9 @@ pub struct Row {
     pub rank: usize,
     /// Content of its mark.
     pub id: String,
+    /// That of a map of full size, which does for one of half the size.
+    #[serde(default)]
+    pub id_at_full_size: String,
     pub problem: Problem,
     /// Long side to which the images are reduced, pixels.
     pub max_image_size: Option<u32>,

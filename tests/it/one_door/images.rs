@@ -300,3 +300,50 @@ fn names_that_are_no_plain_paths_can_be_exported() {
         }
     }
 }
+
+#[test]
+fn masks_of_frames_are_used_wherever_they_are_below_the_file() {
+    let folder = Folder::new();
+    let frame = |(n, mask): (usize, &str)| {
+        format!(
+            r#"{{"file_path":"images/view_{n}.png"{mask},"transform_matrix":[[1,0,0,{n}],[0,1,0,0],[0,0,1,9],[0,0,0,1]]}}"#
+        )
+    };
+    let masks = [
+        r#","mask_path":"semantics/cut_0.png""#,
+        r#","mask_path":".\\semantics\\cut_1.png""#,
+        r#","mask_path":"../outside.png""#,
+        r#","mask_path":"semantics/none.png""#,
+        r#","mask_path":null"#,
+        "",
+    ];
+    let frames: Vec<String> = masks.into_iter().enumerate().map(frame).collect();
+    let frames = frames.join(",");
+    folder
+        .write(
+            "project/transforms.json",
+            format!(r#"{{"w":100,"h":75,"fl_x":85,"frames":[{frames}]}}"#),
+        )
+        .pictures(&scene(), |name| format!("project/images/{name}"))
+        .write("outside.png", "")
+        .write("project/masks/view_3.png", "");
+    for n in 0..2 {
+        folder.write(&format!("project/semantics/cut_{n}.png"), "");
+    }
+    folder.cloud("project/points3d.ply", &scene());
+    let project = Project::open(&folder.at("project"), None).unwrap();
+    let scene = project.read_scene().unwrap();
+    let pictures = PictureFolders::new(&project);
+    let mask = |view: &viewrank_core::model::scene::View| pictures.mask_file(&view.name);
+    let found: Vec<Option<PathBuf>> = scene.views.iter().map(mask).collect();
+    let at = |name: &str| Some(folder.at("project").join(name));
+    let expected = [
+        at("semantics/cut_0.png"),
+        at("semantics/cut_1.png"),
+        None,
+        at("masks/view_3.png"),
+        None,
+        None,
+    ];
+    assert_eq!(found, expected);
+}

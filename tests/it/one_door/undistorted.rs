@@ -420,3 +420,31 @@ fn a_workspace_with_names_that_are_no_plain_paths_can_be_exported() {
         }
     }
 }
+
+#[test]
+fn the_workspace_beside_a_model_further_below_is_found() {
+    let folder = Folder::new();
+    folder
+        .colmap("scene/sparse/0", &distorted())
+        .pictures(&scene(), |name| format!("scene/images/{name}"));
+    workspace(&folder, "scene/dense", &ColmapModel::from_scene(&scene()));
+    let project = folder.open();
+    assert_eq!(project.dense_workspace, Some(folder.at("scene/dense")));
+    assert!(
+        project.other_models.is_empty(),
+        "{:?}",
+        project.other_models
+    );
+    for backend in ["openmvs", "sgm"] {
+        let (code, _, stderr) = folder.plan(&["--backend", backend]);
+        assert_eq!(code, 0, "{stderr}");
+        assert!(
+            folder.at("scene/dense/viewrank/manifest.json").is_file(),
+            "{stderr}"
+        );
+    }
+    // A model that is in a workspace alone is still one.
+    let folder = Folder::new();
+    workspace(&folder, "scene/dense", &ColmapModel::from_scene(&scene()));
+    assert_eq!(folder.read().views.len(), 9);
+}

@@ -3,7 +3,7 @@
 
 use std::{
     borrow::Cow,
-    collections::{BTreeMap, HashSet},
+    collections::{BTreeMap, HashMap, HashSet},
 };
 
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
@@ -37,6 +37,8 @@ pub struct ForeignModel {
     pub left_out: Vec<String>,
     /// Ids of images that are kept apart for tests.
     pub tests: HashSet<u32>,
+    /// Paths of masks, relative to the file, by the ids of their images.
+    pub masks: HashMap<u32, String>,
     /// The folder to which image names are relative, for formats that store it.
     pub image_folder: Option<String>,
     /// Place on earth, for formats that store it.

@@ -4,6 +4,7 @@
 //! ```text
 //! camera_model fl_x fl_y cx cy w h k1..k4 p1 p2   for all frames, or in a frame for that one; camera_angle_x in place of fl_x
 //! frames: [{ file_path, transform_matrix }]       camera to world, x right, y up, z backward
+//! mask_path                                       in a frame: black where its image may not be used
 //! ply_file_path                                   in the same coordinates
 //! train_filenames val_filenames test_filenames    paths of frames; those of the last two alone are kept apart for tests
 //! ```
@@ -73,6 +74,7 @@ impl Splits<'_> {
 #[derive(Deserialize)]
 struct Frame {
     file_path: String,
+    mask_path: Option<String>,
     transform_matrix: Vec<[f64; 4]>,
 }
 
@@ -121,6 +123,7 @@ pub fn read(
             foreign.tests.insert(n);
         }
         foreign.add_image(n, name, camera_id, pose, Place::File);
+        foreign.masks.extend(frame.mask_path.map(|mask| (n, mask)));
     }
     foreign.model.cameras = cameras.different;
     foreign.shorten_names();

@@ -186,8 +186,14 @@ fn models_below(root: &Path) -> Result<Found, ProjectError> {
         let mut folders = with_sub_folders(&child);
         folders.truncate(left);
         left -= folders.len();
-        let of_colmap: Vec<PathBuf> = folders.iter().flat_map(|f| with_sparse(f)).collect();
-        let there = models_in(root, &of_colmap, &folders);
+        let (dense, own): (Vec<_>, Vec<_>) = folders
+            .into_iter()
+            .partition(|folder| folder.ends_with(DENSE));
+        let find = |folders: &[PathBuf]| {
+            let of_colmap: Vec<PathBuf> = folders.iter().flat_map(|f| with_sparse(f)).collect();
+            models_in(root, &of_colmap, folders)
+        };
+        let there = find(&own).or(|| Ok(find(&dense)))?;
         if !there.models.is_empty() {
             below.push(child);
         }
@@ -481,14 +487,27 @@ pub(super) fn are_among(own: &Poses, others: &Poses) -> bool {
 /// first.
 pub(super) fn dense_folders(root: &Path, model: &ModelLocation) -> Vec<PathBuf> {
     let name = model.path.file_name().unwrap_or_default();
-    let of = |folder: &str| {
-        let dense = root.join(folder);
-        [vec![dense.join(name), dense.clone()], sub_folders(&dense)].concat()
+    let of = |folder: PathBuf| {
+        let dense = [
+            vec![folder.join(name), folder.clone()],
+            sub_folders(&folder),
+        ];
+        dense.concat()
     };
-    let mut folders = WORKSPACES.map(of).concat();
+    let homes = [Some(root), home_of(root, model)].into_iter().flatten();
+    let usual = homes.flat_map(|home| WORKSPACES.map(|folder| home.join(folder)));
+    let mut folders: Vec<PathBuf> = usual.flat_map(of).collect();
     let mut known = HashSet::new();
     folders.retain(|folder| folder.join("stereo").is_dir() && known.insert(folder.clone()));
     folders
+}
+
+/// The folder in a project that holds its model: that of its `sparse`, else of its file.
+fn home_of<'a>(root: &Path, model: &'a ModelLocation) -> Option<&'a Path> {
+    let mut above = model.path.ancestors();
+    let sparse = above.find(|folder| folder.ends_with("sparse"));
+    let home = sparse.unwrap_or(&model.path).parent()?;
+    home.starts_with(root).then_some(home)
 }
 
 /// Poses of the registered images, by their plain names: programs differ in how they spell one path.

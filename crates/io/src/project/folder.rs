@@ -2,6 +2,7 @@
 //! names are spelled otherwise there.
 
 use std::{
+    collections::HashMap,
     ops::Deref,
     path::{Path, PathBuf},
     sync::{Arc, OnceLock},
@@ -53,6 +54,8 @@ pub struct ImageFolder {
     pub is_searched: bool,
     /// The images that are not there under their names. Known once the model is read.
     others: Arc<OnceLock<Others>>,
+    /// The masks that the model names, by the names of their images. Known once the model is read.
+    masks: Arc<OnceLock<HashMap<String, PathBuf>>>,
 }
 
 impl ImageFolder {
@@ -61,6 +64,7 @@ impl ImageFolder {
             path: path.into(),
             is_searched: false,
             others: Arc::default(),
+            masks: Arc::default(),
         }
     }
 
@@ -78,6 +82,21 @@ impl ImageFolder {
     pub fn other_name(&self, name: &str) -> Option<&str> {
         let others = self.others.get()?;
         others.found.get(name).map(String::as_str)
+    }
+
+    /// Path of the mask that the model names for an image, whether it exists or not.
+    pub fn mask(&self, name: &str) -> Option<&Path> {
+        self.masks.get()?.get(name).map(PathBuf::as_path)
+    }
+
+    /// Returns whether the model names masks.
+    pub fn has_masks(&self) -> bool {
+        self.masks.get().is_some_and(|masks| !masks.is_empty())
+    }
+
+    /// Notes the masks that the model names.
+    pub(super) fn add_masks(&self, masks: HashMap<String, PathBuf>) {
+        self.masks.get_or_init(|| masks);
     }
 
     /// Two files in the folder of which either may be that of a missing image.

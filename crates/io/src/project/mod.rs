@@ -37,7 +37,11 @@ pub use probe::{Unread, probe};
 
 use crate::{
     depthmaps,
-    formats::colmap::ColmapModel,
+    formats::{
+        colmap::{ColmapImage, ColmapModel},
+        foreign::ForeignModel,
+        name_parts,
+    },
     output::Disk,
     paths,
     shell::{command_path, command_word},
@@ -385,9 +389,24 @@ impl Project {
         }
         let (mut foreign, cloud) = foreign::read(&self.root, &self.model)?;
         self.name_images(&mut foreign.model)?;
+        if let Some(images) = &self.images {
+            images.add_masks(self.masks_of(&foreign));
+        }
         foreign.model = complete::completed(foreign.model, &self.model, cloud)?;
         let scene = foreign.scene();
         scene.map_err(ProjectError::fault(&self.model.path))
+    }
+
+    /// The masks that a model names, by the names of their images: those below its folder, since a
+    /// stranger may have named others.
+    fn masks_of(&self, foreign: &ForeignModel) -> HashMap<String, PathBuf> {
+        let folder = self.model.path.parent().unwrap_or(&self.root);
+        let mask = |image: &ColmapImage| {
+            let parts = name_parts(foreign.masks.get(&image.id)?)?;
+            let is_below = parts.first().is_some_and(|first| *first != "..");
+            is_below.then(|| (image.name.to_string(), folder.join(parts.join("/"))))
+        };
+        foreign.model.images.iter().filter_map(mask).collect()
     }
 
     fn completed_colmap<'a>(
