@@ -308,9 +308,26 @@ fn planned(
         Some(folder) => Some((folder.clone(), earlier(project)?, None)),
         None => own_maps(&plan, project),
     };
-    match finished {
-        Some((folder, earlier, known)) => around_finished(plan, &folder, &earlier, known, progress),
-        None => Ok(plan),
+    let Some((folder, earlier, known)) = finished else {
+        return Ok(plan);
+    };
+    let plan = around_finished(plan, &folder, &earlier, known, progress)?;
+    warn_of_other_folder(&plan, project, &folder);
+    Ok(plan)
+}
+
+/// Says what to do with finished depth maps that are not where the plan's program writes its own:
+/// nothing else counts them there.
+fn warn_of_other_folder(plan: &Plan, project: &Project, folder: &Path) {
+    let place = |folder: &Path| folder.canonicalize().ok();
+    let own = own_folder_of_maps(plan, project);
+    let finished = plan.decision.finished;
+    if let Some(own) = own.filter(|own| finished > 0 && place(own) != place(folder)) {
+        warn(&format!(
+            "status, run, evaluate and the report count depth maps in {} alone: copy the {finished} finished ones there from {}, or viewrank run makes them again",
+            shown_path(&own),
+            shown_path(folder)
+        ));
     }
 }
 

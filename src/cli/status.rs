@@ -101,6 +101,7 @@ fn print_unwatched(project: PathBuf, is_json: bool) -> Result<(), Failure> {
     let maps = there.map(|there| there.counted);
     let Some(progress) = progress else {
         let maps = maps.map_or(0, |maps| maps.len());
+        let others = others.or_else(|| elsewhere(&plan, maps));
         return if is_json {
             print_json(&alone(&project, unmeasured(&plan, maps, others)))
         } else {
@@ -214,6 +215,17 @@ impl MapsThere {
             others,
         })
     }
+}
+
+/// Says of finished depth maps that the plan was made around and that are not there that they do not
+/// count.
+fn elsewhere(plan: &PlannedMaps, there: usize) -> Option<String> {
+    let (finished, _) = plan.finished?;
+    let gone = finished.checked_sub(there).filter(|gone| *gone > 0)?;
+    Some(format!(
+        "{gone} depth maps that were finished when the plan was made are not where {} writes them, and do not count: copy them there, or viewrank run makes them again.",
+        plan.backend
+    ))
 }
 
 fn in_folder(

@@ -221,3 +221,54 @@ fn the_maps_of_another_program_are_named_and_do_not_count() {
     assert_eq!(folder.status("p")["state"], "planned");
     assert!(!folder.at("p/viewrank/progress.json").exists());
 }
+
+#[test]
+fn finished_maps_elsewhere_count_once_they_are_where_the_program_writes_them() {
+    let folder = Folder::new();
+    folder
+        .colmap("sparse/0", &ColmapModel::from_scene(&scene()))
+        .pictures(&scene(), |name| format!("images/{name}"));
+    let options = ["--backend", "sgm", "--budget", "3"];
+    plan(&folder, ".", &options);
+    let manifest = folder.json("viewrank/manifest.json");
+    let key = manifest["clusters"][0]["key"].as_str().unwrap().to_owned();
+    folder.write(&format!("elsewhere/{key}.npy"), npy());
+    let elsewhere = folder.at("elsewhere").display().to_string();
+    let finished = [&options[..], &["--finished", &elsewhere]].concat();
+    let (code, _, stderr) = folder.plan(&finished);
+    assert_eq!((code, folder.finished(".")), (0, 1), "{stderr}");
+    assert!(
+        stderr.contains("copy the 1 finished ones there"),
+        "{stderr}"
+    );
+    let status = folder.status(".");
+    let note = status["note"].as_str().unwrap_or_default();
+    assert!(note.contains("copy them there"), "{status}");
+    folder.write(&format!("viewrank/sgm/depth_maps/{key}.npy"), npy());
+    let status = folder.status(".");
+    assert_eq!(status["done"], 1, "{status}");
+    assert!(!status.to_string().contains("copy them there"), "{status}");
+}
+
+#[test]
+fn a_map_of_full_size_counts_where_half_is_planned() {
+    let folder = Folder::new();
+    workspace(&folder, ".", &ColmapModel::from_scene(&scene()));
+    plan(&folder, ".", &["--backend", "colmap", "--budget", "3"]);
+    let list = fs::read_to_string(folder.at("stereo/viewrank/marks.tsv")).unwrap();
+    let cells: Vec<&str> = list.lines().next().unwrap().split('\t').collect();
+    let view = cells[2].strip_suffix(".photometric.bin").unwrap();
+    folder.maps_of_colmap(".", &[view.to_owned()]);
+    let mut run = folder.json("stereo/viewrank/run.json");
+    let row = run["maps"].as_array_mut().unwrap();
+    let row = row
+        .iter_mut()
+        .find(|row| row["problem"]["reference"] == view);
+    row.unwrap()["id_at_full_size"] = "00ff".into();
+    folder.write("stereo/viewrank/run.json", run.to_string());
+    let counted = |id: &str| {
+        folder.write(&format!("stereo/viewrank/done/{}", cells[0]), id);
+        folder.status(".")["done"].as_u64().unwrap_or_default()
+    };
+    assert_eq!(["00fe", "00ff", cells[1]].map(counted), [0, 1, 1]);
+}
