@@ -333,7 +333,7 @@ fn masks_of_frames_are_used_wherever_they_are_below_the_file() {
     folder.cloud("project/points3d.ply", &scene());
     let project = Project::open(&folder.at("project"), None).unwrap();
     let scene = project.read_scene().unwrap();
-    let pictures = PictureFolders::new(&project);
+    let pictures = viewrank_io::pictures::PictureFolders::new(&project);
     let mask = |view: &viewrank_core::model::scene::View| pictures.mask_file(&view.name);
     let found: Vec<Option<PathBuf>> = scene.views.iter().map(mask).collect();
     let at = |name: &str| Some(folder.at("project").join(name));
