@@ -21,10 +21,10 @@ use super::{
 /// Largest number of points used from a cloud without tracks, and largest number of observations
 /// made from them: each takes 60 bytes until the scene is made.
 const CLOUD_POINTS: usize = 1 << 20;
-const MOST_OBSERVATIONS: usize = 10_000_000;
+const MOST_OBSERVATIONS: usize = 5_000_000;
 /// Largest number of points in images that are looked at, of which a small file may ask for
 /// billions; projections, and points whose block is looked at.
-const PROJECTIONS: usize = 1 << 25;
+const PROJECTIONS: usize = 1 << 24;
 const LOOKED_AT: usize = 1 << 31;
 /// Number of points sampled to estimate how many views a point projects into, and largest number of
 /// their projections.
