@@ -326,7 +326,7 @@ fn masks_of_frames_are_used_wherever_they_are_below_the_file() {
         )
         .pictures(&scene(), |name| format!("project/images/{name}"))
         .write("outside.png", "")
-        .write("project/masks/view_3.png", "");
+        .write("project/masks/images/view_3.png", "");
     for n in 0..2 {
         folder.write(&format!("project/semantics/cut_{n}.png"), "");
     }
@@ -341,7 +341,7 @@ fn masks_of_frames_are_used_wherever_they_are_below_the_file() {
         at("semantics/cut_0.png"),
         at("semantics/cut_1.png"),
         None,
-        at("masks/view_3.png"),
+        at("masks/images/view_3.png"),
         None,
         None,
     ];

@@ -397,8 +397,9 @@ fn a_workspace_with_names_that_are_no_plain_paths_can_be_exported() {
         folder
             .pictures(&scene(), |name| format!("images/may/{name}"))
             .write("stereo/depth_maps/notes.txt", "");
-        let read = folder.read();
-        assert_eq!(folder.open().image_faults(&read).missing, [], "{pattern}");
+        let project = folder.open();
+        let read = project.read_scene().unwrap();
+        assert_eq!(project.image_faults(&read).missing, [], "{pattern}");
         for backend in ["openmvs", "sgm", "splat", "pairs", "mvsnet"] {
             let (code, _, stderr) = folder.plan(&["--backend", backend]);
             assert_eq!(code, 0, "{pattern} for {backend}: {stderr}");
