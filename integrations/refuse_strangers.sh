@@ -1,8 +1,11 @@
 # Refuses to start where anything at or below the paths is neither a file nor a folder: the script, or the program that it calls, would follow a link out
 # of this folder, and wait for a pipe for ever. The input lists the links that viewrank made itself: PATH...
 refuse_strangers() {
-    # A folder that cannot be listed may hide links, and a line break in a name would make two entries of one. Names are bytes in any encoding. The word at
-    # the end says that all were looked at.
+    # A folder that cannot be listed may hide links, and a line break in a name would make two entries of one. Names are bytes in any encoding.
+    command -v find > /dev/null || {
+        say "error: no program find on the PATH: it looks for links that are not viewrank's" >&2
+        exit 1
+    }
     found=$({
         cat
         echo

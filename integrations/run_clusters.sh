@@ -4,7 +4,7 @@
 set -u
 @RESTART@
 @REFUSE_STRANGERS@
-refuse_strangers . << 'LINKS'
+refuse_strangers . << 'LINKS' || exit 1
 @LINKS@
 LINKS
 tried mkdir -p older || exit 1

@@ -3,7 +3,7 @@
 set -eu
 @RESTART@
 @REFUSE_STRANGERS@
-refuse_strangers . << 'LINKS'
+refuse_strangers . << 'LINKS' || exit 1
 @LINKS@
 LINKS
 own_files .

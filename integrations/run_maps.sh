@@ -5,7 +5,7 @@ set -u
 @RESTART@
 @REFUSE_STRANGERS@
 # What a killed viewrank run left is in nobody's way.
-refuse_strangers . -path ./unfinished -prune -o << 'LINKS'
+refuse_strangers . -path ./unfinished -prune -o << 'LINKS' || exit 1
 @LINKS@
 LINKS
 alone .

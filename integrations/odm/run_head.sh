@@ -4,7 +4,7 @@
 set -eu
 @RESTART@
 @REFUSE_STRANGERS@
-refuse_strangers . << 'LINKS'
+refuse_strangers . << 'LINKS' || exit 1
 @LINKS@
 LINKS
 # A link on the way to the folder that is replaced would lead out of the project.

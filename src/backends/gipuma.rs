@@ -6,7 +6,7 @@ use super::{
     Honours, LastRun, PATCH_MATCH, Selection, Trap,
     clusters::{ClusterScript, recipe},
     pmvs, selection,
-    strangers::list_links,
+    strangers::name_links_in_scripts,
 };
 use crate::{
     io::{output::FileSet, project::ImageFolder},
@@ -82,7 +82,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         "{FUSIBILE}: its default of 2 other views leaves little of the maps of key views alone"
     );
     files.add_script("run.sh", script.finish(&[]));
-    list_links(&mut files);
+    name_links_in_scripts(&mut files);
     Ok(Export::new(files, record))
 }
 

@@ -13,7 +13,7 @@ use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
     Honours, LastRun, PATCH_MATCH, Selection, Trap,
     clusters::{ClusterScript, recipe},
-    strangers::list_links,
+    strangers::name_links_in_scripts,
     sure::stem,
 };
 use crate::{base::shell::quoted, io::depthmaps::MICMAC_MARK, model::cluster::RankedCluster};
@@ -78,7 +78,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     record.note_scale(selection, |_| 1.0);
     record.fusion = "MicMac's MergeCloud, by hand".into();
     files.add_script("run.sh", runner(selection));
-    list_links(&mut files);
+    name_links_in_scripts(&mut files);
     Ok(Export::new(files, record))
 }
 

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
     Honours, LastRun, Selection, Trap, openmvs, selection,
-    strangers::{list_links, with_refusal},
+    strangers::{name_links_in_scripts, with_refusal},
 };
 use crate::{
     base::shell::{command_path, sh_word},
@@ -140,7 +140,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     );
     record.commands = vec![format!("./run.sh {project}")];
     files.add_script("run.sh", with_refusal(&script));
-    list_links(&mut files);
+    name_links_in_scripts(&mut files);
     record.not_honoured.extend([
         "the rank order".into(),
         "partners beyond the fifth (CUDA: eighth)".into(),

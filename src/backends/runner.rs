@@ -130,9 +130,10 @@ pub struct TaskProgram {
 }
 
 impl TaskProgram {
-    /// The path of the program, if somebody names it or the folder that it is in.
-    pub fn in_folder(&self, named: PathBuf) -> PathBuf {
-        if named.is_dir() {
+    /// The path of the program that somebody names, or of that in the folder that he names. A bare
+    /// name is not of the current folder, which may be a stranger's.
+    pub fn named(&self, named: PathBuf) -> PathBuf {
+        if named.components().count() > 1 && named.is_dir() {
             named.join(self.name)
         } else {
             named
@@ -141,7 +142,7 @@ impl TaskProgram {
 
     /// Finds the program that the variable names, else the one on the PATH.
     pub fn installed(&self) -> Option<PathBuf> {
-        let named = env::var_os(self.variable).map(|named| self.in_folder(named.into()));
+        let named = env::var_os(self.variable).map(|named| self.named(named.into()));
         let named = named.and_then(|named| platform::located(&named));
         named.or_else(|| platform::located(Path::new(self.name)))
     }

@@ -28,12 +28,12 @@ pub fn add_runner(files: &mut FileSet, record: &mut ExportRecord) {
     let head = with_refusal(include_str!("../../integrations/run_commands.sh"));
     record.runner = Some("run.sh".into());
     files.add_script("run.sh", head + &record.commands.join("\n") + "\n");
-    list_links(files);
+    name_links_in_scripts(files);
 }
 
 /// Puts the links of an export, as `find .` names them, where its script has the line `@LINKS@`: any
 /// other is refused. In a list of their own somebody could add to them.
-pub fn list_links(files: &mut FileSet) {
+pub fn name_links_in_scripts(files: &mut FileSet) {
     let is_link = |(path, contents): (&String, &Contents)| {
         // With a line break it would be two lines, of which one may name somebody else's link.
         let is_named =

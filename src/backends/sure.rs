@@ -11,7 +11,7 @@ use super::{
     Honours, LastRun, PlanningNumbers, Selection, Trap,
     clusters::{ClusterScript, recipe},
     semi_global::{CONFIDENCE, PHOTOMETRIC, checked_name, lists_of_pairs},
-    strangers::list_links,
+    strangers::name_links_in_scripts,
 };
 use std::collections::HashMap;
 
@@ -111,7 +111,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     }
     let record = record_of(selection, &names);
     files.add_script("run.sh", shell_script(selection));
-    list_links(&mut files);
+    name_links_in_scripts(&mut files);
     files.add_text("run.bat", batch_script(selection));
     Ok(Export::new(files, record))
 }

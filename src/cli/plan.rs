@@ -5,7 +5,6 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use crate::{apps::planning, show::files::files_of_same_model};
 use crate::{
     apps::{
         dispatch::Dispatch,
@@ -36,6 +35,10 @@ use crate::{
         },
         tables,
     },
+};
+use crate::{
+    apps::{doctor::counted, planning},
+    show::files::files_of_same_model,
 };
 use clap::Args;
 
@@ -324,8 +327,9 @@ fn warn_of_other_folder(plan: &Plan, project: &Project, folder: &Path) {
     let finished = plan.decision.finished;
     if let Some(own) = own.filter(|own| finished > 0 && place(own) != place(folder)) {
         warn(&format!(
-            "status, run, evaluate and the report count depth maps in {} alone: copy the {finished} finished ones there from {}, or viewrank run makes them again",
+            "status, run, evaluate and the report count depth maps in {} alone: copy {} there from {}, or viewrank run makes them again",
             shown_path(&own),
+            counted(finished, "finished depth map"),
             shown_path(folder)
         ));
     }

@@ -222,8 +222,12 @@ impl MapsThere {
 fn elsewhere(plan: &PlannedMaps, there: usize) -> Option<String> {
     let (finished, _) = plan.finished?;
     let gone = finished.checked_sub(there).filter(|gone| *gone > 0)?;
+    let (do_not, again) = match gone {
+        1 => ("is not there and does not", "it"),
+        _ => ("are not there and do not", "them"),
+    };
     Some(format!(
-        "{gone} depth maps that were finished when the plan was made are not where {} writes them, and do not count: copy them there, or viewrank run makes them again.",
+        "of the finished depth maps that the plan was made around, {gone} {do_not} count: put {again} where {} writes its own, or viewrank run makes {again} again.",
         plan.backend
     ))
 }

@@ -24,7 +24,16 @@ fn in_words(text: &str) -> String {
     let kinds = ["invalid type: ", "invalid value: ", "invalid length "];
     let wrong = kinds.iter().find_map(|kind| text.strip_prefix(kind));
     if let Some((found, expected)) = wrong.and_then(|wrong| wrong.split_once(", expected ")) {
-        return format!("{} where {} is expected", value(found), kind(expected));
+        let limit = text
+            .starts_with("invalid value")
+            .then(|| most(expected))
+            .flatten();
+        let limit = limit.map_or_else(String::new, |most| format!(" to {most}"));
+        return format!(
+            "{} where {}{limit} is expected",
+            value(found),
+            kind(expected)
+        );
     }
     let field = |start| text.strip_prefix(start)?.strip_suffix('`');
     if let Some(field) = field("missing field `") {
@@ -35,9 +44,9 @@ fn in_words(text: &str) -> String {
     }
     match text {
         _ if text.starts_with("EOF while parsing") => "the JSON ends early".into(),
-        "expected value" => "no JSON, where a value is expected".into(),
-        "trailing characters" => "more behind the end of the JSON".into(),
-        "recursion limit exceeded" => "lists or objects too deep in each other".into(),
+        "expected value" => "not JSON".into(),
+        "trailing characters" => "text after the end of the JSON".into(),
+        "recursion limit exceeded" => "lists or objects nested too deeply".into(),
         _ => text.into(),
     }
 }
@@ -84,6 +93,17 @@ fn kind(expected: &str) -> Cow<'_, str> {
     }
 }
 
+/// The greatest number that fits, as serde names what is expected.
+fn most(expected: &str) -> Option<u64> {
+    match expected {
+        "u8" => Some(u8::MAX.into()),
+        "u16" => Some(u16::MAX.into()),
+        "u32" => Some(u32::MAX.into()),
+        "u64" | "usize" => Some(u64::MAX),
+        _ => None,
+    }
+}
+
 /// What was read when the fault was found.
 fn read_until<'a>(error: &serde_json::Error, bytes: &'a [u8]) -> &'a [u8] {
     let lines = bytes.split_inclusive(|byte| *byte == b'\n');
@@ -101,9 +121,15 @@ enum Step {
     Number(usize),
 }
 
-/// The way to the value at the end of the start of a file, such as `frames[2].file_path`.
+/// Steps of a way that are shown.
+const MOST_STEPS: usize = 16;
+
+/// The way to the value at the end of the start of a file, such as `frames[2].file_path`, or its
+/// begin.
 fn path_to(start: &[u8]) -> String {
     let (mut steps, mut text): (Vec<Step>, &[u8]) = (Vec::new(), &[]);
+    // Steps behind those.
+    let mut deeper: usize = 0;
     let mut at = 0;
     while let Some(byte) = start.get(at) {
         at += 1;
@@ -116,6 +142,9 @@ fn path_to(start: &[u8]) -> String {
                 text = &start[begin..at.min(begin + LONGEST_NAME).min(start.len())];
                 at += 1;
             }
+            b'{' | b'[' if steps.len() == MOST_STEPS => deeper += 1,
+            b'}' | b']' if deeper > 0 => deeper -= 1,
+            _ if deeper > 0 => {}
             b'{' => steps.push(Step::Name(String::new())),
             b'[' => steps.push(Step::Number(0)),
             b'}' | b']' => drop(steps.pop()),
@@ -202,7 +231,7 @@ mod tests {
             (r#"{"views":[{}]}"#, r#"line 1, "views[0]": "x" is missing"#),
             (
                 r#"{"views":[],"views":[]}"#,
-                r#"line 1, "views": "views" is there twice"#,
+                r#"line 1, "views" is there twice"#,
             ),
             (
                 r#"{"views":[],"name":7}"#,
@@ -216,16 +245,29 @@ mod tests {
                 r#"{"views":[],"ids":{"a":-1.5}}"#,
                 r#"line 1, "ids.a": the number -1.5 where a whole number from 0 up is expected"#,
             ),
+            (
+                r#"{"views":[],"ids":{"a":5000000000}}"#,
+                r#"line 1, "ids.a": the number 5000000000 where a whole number from 0 up to 4294967295 is expected"#,
+            ),
             ("7", "line 1, the number 7 where an object is expected"),
             ("", "line 1, the JSON ends early"),
-            ("<xml>", "line 1, no JSON, where a value is expected"),
-            (
-                r#"{"views":[]}x"#,
-                "line 1, more behind the end of the JSON",
-            ),
+            ("<xml>", "line 1, not JSON"),
+            (r#"{"views":[]}x"#, "line 1, text after the end of the JSON"),
         ] {
             assert_eq!(said::<Model>(text), expected, "{text}");
         }
+    }
+
+    #[test]
+    fn of_a_long_way_to_a_fault_the_begin_is_shown() {
+        let deep = format!(r#"{{"views":[],"y":{}"#, "[".repeat(1_000_000));
+        assert_eq!(path_to(deep.as_bytes()), format!("y{}", "[0]".repeat(15)));
+        let closed = format!(
+            r#"{{"y":{}{},"views":7}}"#,
+            "[".repeat(100),
+            "]".repeat(100)
+        );
+        assert!(said::<Model>(&closed).contains(r#""views": the number 7"#));
     }
 
     #[test]

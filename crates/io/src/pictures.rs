@@ -245,16 +245,10 @@ impl PictureFolders {
         &self.masks
     }
 
-    /// Returns the folder of masks that counts first, if one of these views has a mask.
-    pub fn masks_of<'a>(&self, mut names: impl Iterator<Item = &'a str>) -> Option<&Path> {
-        self.masks
-            .first()
-            .filter(|_| names.any(|name| self.has_mask(name)))
-            .map(PathBuf::as_path)
-    }
-
-    fn has_mask(&self, name: &str) -> bool {
-        self.mask_file(name).is_some()
+    /// Returns the folder of the first mask that one of these views has.
+    pub fn masks_of<'a>(&self, mut names: impl Iterator<Item = &'a str>) -> Option<PathBuf> {
+        let mask = names.find_map(|name| self.mask_file(name))?;
+        Some(mask.parent()?.to_path_buf())
     }
 
     /// Returns the file of a view's mask. A pipe or a device is found, too, so that reading it says
@@ -264,8 +258,8 @@ impl PictureFolders {
             .find(|path| path.exists() && !path.is_dir())
     }
 
-    /// The masks that an image may have: the one that the model names, and in each folder `a.jpg.png` or `a.png` for `a.jpg`, and the
-    /// same for the name of its file if that is another.
+    /// The masks that an image may have: the one that the model names, and in each folder
+    /// `a.jpg.png` or `a.png` for `a.jpg`, and the same for the name of its file if that is another.
     fn mask_files(&self, name: &str) -> impl Iterator<Item = PathBuf> {
         let file = self
             .images

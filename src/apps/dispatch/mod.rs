@@ -105,8 +105,7 @@ impl Tools {
                 source,
             });
         }
-        let wanted = wanted.unwrap_or_else(|| name.into());
-        let wanted = dispatch.program.in_folder(wanted);
+        let wanted = wanted.map_or_else(|| name.into(), |named| dispatch.program.named(named));
         let typed = named.filter(|path| path.is_file()).map(absolute);
         let program = typed.or_else(|| platform::located(&wanted).map(|found| absolute(&found)));
         let program = program.ok_or(DispatchError::Program {

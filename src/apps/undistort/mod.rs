@@ -118,9 +118,8 @@ pub fn undistort(
     let scene = project.read_scene()?;
     let job = Undistortion::new(project, &scene, options, out)?;
     let batches = job.batches();
-    let masks = PictureFolders::new(project)
-        .masks_of(scene.views.iter().map(|view| &*view.name))
-        .map(Path::to_path_buf);
+    let masks = PictureFolders::new(project);
+    let masks = masks.masks_of(scene.views.iter().map(|view| &*view.name));
     let mut done = UndistortReport {
         folder: out.into(),
         images: scene.views.len(),

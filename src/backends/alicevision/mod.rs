@@ -20,7 +20,7 @@ use super::{
     clusters::{map_script, task_ids},
     runner::is_not_empty,
     selection,
-    strangers::list_links,
+    strangers::name_links_in_scripts,
 };
 use crate::{
     base::printable::to_json,
@@ -117,7 +117,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     record.note_scale(selection, |_| 1.0 / downscale(selection));
     files.add_script("run.sh", script(selection, &rows));
     files.add_text(RUN, to_json(&Run { maps: rows }));
-    list_links(&mut files);
+    name_links_in_scripts(&mut files);
     Ok(Export::new(files, record))
 }
 

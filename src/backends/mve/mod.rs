@@ -16,7 +16,7 @@ use super::{
     Honours, LastRun, PATCH_MATCH, PlanningNumbers, Selection, TaskProgram, TaskRunner, Trap,
     clusters::{map_script, task_ids},
     selection,
-    strangers::list_links,
+    strangers::name_links_in_scripts,
 };
 use crate::{
     base::printable::to_json,
@@ -139,7 +139,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         maps: rows,
     };
     files.add_text(RUN, to_json(&run));
-    list_links(&mut files);
+    name_links_in_scripts(&mut files);
     Ok(Export::new(files, record))
 }
 

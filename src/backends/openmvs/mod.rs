@@ -16,7 +16,7 @@ use self::{
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
     Honours, LastRun, PlanningNumbers, Selection, TaskProgram, TaskRunner, Trap,
-    clusters::task_ids, record::capped_scale, selection, strangers::list_links,
+    clusters::task_ids, record::capped_scale, selection, strangers::name_links_in_scripts,
 };
 use crate::{
     base::{printable::to_json, shell::command_path},
@@ -215,7 +215,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         "run.py",
         include_str!("../../../integrations/openmvs/run.py"),
     );
-    list_links(&mut files);
+    name_links_in_scripts(&mut files);
     let mut record = record_of(selection);
     record.moved(near.origin);
     Ok(Export::new(files, record))

@@ -8,11 +8,11 @@ use self::{
     dialects::{DepthLine, Dialect},
     lists::Lists,
     run::Run,
-    sizes::{Words, at_another_size},
+    sizes::{Words, at_another_size, stored_size},
 };
 use super::{
     BackendError, Export, ExportOptions, ExportRecord, PATCH_MATCH, Selection, selection,
-    strangers::{add_runner, list_links},
+    strangers::{add_runner, name_links_in_scripts},
 };
 use crate::{
     base::printable::to_json,
@@ -38,6 +38,14 @@ const AGREEING: u32 = PATCH_MATCH.support - 1;
 /// Largest number of partners of ACMH, ACMM, ACMP and ACMMP, which use a 32-bit mask.
 const ACM_PARTNERS: usize = 32;
 
+/// What `run.sh` runs.
+struct Commands {
+    /// One for the maps of each size.
+    depth: Vec<String>,
+    /// Joins the maps; `None` for two sizes, or if the program does that by itself.
+    fusion: Option<String>,
+}
+
 impl Dialect {
     fn export(
         &self,
@@ -51,6 +59,7 @@ impl Dialect {
         let views = selection.keys_first();
         let lists = Lists::new(self, selection, &views);
         let mut files = options.file_set(self.backend, selection);
+        let keys = selection.clusters.len();
         let all: Vec<usize> = (0..views.len()).collect();
         let (half, full): (Vec<usize>, Vec<usize>) =
             all.iter().partition(|&&i| self.is_half(selection, i));
@@ -64,20 +73,22 @@ impl Dialect {
         if self.tuples {
             files.add_text("tuples.txt", lists.tuples());
         }
-        let mut record = self.record(selection, &lists);
+        let commands = self.commands(selection, &lists);
+        let mut record = self.record(selection, &lists, &commands);
         record.moved(near.origin);
         if self.fusion.is_some() {
-            let keys: Vec<usize> = (0..selection.clusters.len()).collect();
-            files.add_text("fuse/pair.txt", lists.pairs_to_fuse());
-            self.add_views(&mut files, "fuse/", selection, &lists, &keys)?;
             for folder in run::FOLDERS {
                 files.add(folder, Contents::Folder);
             }
+            if commands.fusion.is_some() {
+                files.add_text("fuse/pair.txt", lists.pairs_to_fuse());
+                self.add_views(&mut files, "fuse/", selection, &lists, &all[..keys])?;
+            }
             let run = Run::new(selection, &lists, ids, self.fused_at(selection));
-            files.add_script("run.sh", run.script(selection, &record.commands));
+            files.add_script("run.sh", run.script(selection, &commands));
             files.add_text(run::RUN, to_json(&run));
             record.runner = Some("run.sh".into());
-            list_links(&mut files);
+            name_links_in_scripts(&mut files);
         } else if !record.commands.is_empty() {
             add_runner(&mut files, &mut record);
         }
@@ -179,7 +190,11 @@ impl Dialect {
             let r = pose.rotation.matrix().row(i);
             format!("{} {} {} {}\n", r[0], r[1], r[2], pose.translation[i])
         };
-        let (f, c) = scene.camera_of(view).pinhole_part();
+        let camera = scene.camera_of(view);
+        let (f, c) = camera.pinhole_part();
+        // Of the picture as it is stored, which may be smaller than that of the camera.
+        let [x, y] = stored_size(selection, view).map(f64::from);
+        let [x, y] = [x / f64::from(camera.width), y / f64::from(camera.height)];
         let range = selection::depth_range(self.backend.name, scene, points, view)?;
         let depths = self.depth_line(range);
         Ok(format!(
@@ -187,10 +202,10 @@ impl Dialect {
             row(0),
             row(1),
             row(2),
-            f.x,
-            c.x,
-            f.y,
-            c.y
+            x * f.x,
+            x * c.x,
+            y * f.y,
+            y * c.y
         ))
     }
 
@@ -209,8 +224,7 @@ impl Dialect {
         }
     }
 
-    /// One command for the maps of each size, then the one that joins them, if they have one size.
-    fn commands(&self, selection: &Selection, lists: &Lists) -> Vec<String> {
+    fn commands(&self, selection: &Selection, lists: &Lists) -> Commands {
         let at_half = (0..selection.clusters.len())
             .filter(|&i| self.is_half(selection, i))
             .count();
@@ -227,10 +241,13 @@ impl Dialect {
             [scale] => self.fusion.map(|command| fill(scale, command)),
             _ => None,
         };
-        depth.chain(fusion).collect()
+        Commands {
+            depth: depth.collect(),
+            fusion,
+        }
     }
 
-    fn record(&self, selection: &Selection, lists: &Lists) -> ExportRecord {
+    fn record(&self, selection: &Selection, lists: &Lists, commands: &Commands) -> ExportRecord {
         let mut numbers = vec![0; selection.scene.views.len()];
         lists
             .views
@@ -241,7 +258,12 @@ impl Dialect {
             ExportRecord::new(self.backend, selection, |v| numbers[v.index()].to_string());
         record.made_for = self.made_for.into();
         record.way = format!("dialect {}", self.backend.name);
-        record.commands = self.commands(selection, lists);
+        record.commands = commands
+            .depth
+            .iter()
+            .chain(&commands.fusion)
+            .cloned()
+            .collect();
         if !self.depth.is_some_and(|depth| depth.contains("SIZE")) {
             record.note_own_scale(selection);
         }

@@ -11,9 +11,9 @@ use std::{collections::BTreeSet, env, ffi::OsString, path::Path};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    AGREEING, PATCHMATCHNET,
+    AGREEING, Commands, PATCHMATCHNET,
     lists::{Entry, Lists, pair_file},
-    sizes::{limit, reduced},
+    sizes::{limit, reduced, stored_size},
 };
 use crate::{
     backends::{
@@ -122,15 +122,15 @@ impl Run {
     ) -> Self {
         let limit = |scale| limit(selection, lists, scale);
         let row = |((i, cluster), id): ((usize, &RankedCluster), String)| {
-            let camera = selection.scene.camera_of(cluster.key);
+            let stored = stored_size(selection, cluster.key);
             Row {
                 rank: i + 1,
                 id,
                 partners: lists.partners(i),
                 compared: lists.compared(i),
                 longest: limit(cluster.scale),
-                size: reduced(camera, limit(cluster.scale)),
-                fused_size: reduced(camera, limit(fused_at)),
+                size: reduced(stored, limit(cluster.scale)),
+                fused_size: reduced(stored, limit(fused_at)),
             }
         };
         Self {
@@ -145,30 +145,24 @@ impl Run {
         }
     }
 
-    /// Returns `run.sh`: commands that compute maps of a size each, then the one that joins them, if
-    /// all have one size.
-    pub fn script(&self, selection: &Selection, commands: &[String]) -> String {
+    /// Returns `run.sh`.
+    pub fn script(&self, selection: &Selection, commands: &Commands) -> String {
         let keys = selection
             .clusters
             .iter()
             .map(|c| selection.scene.name(c.key));
         let markers: Vec<String> = keys.map(task_marker).collect();
-        let marks = |id: fn(&Row) -> &str| -> String {
+        let marks = |word: &str| -> String {
             let marks = markers.iter().zip(&self.maps);
             marks
-                .map(|(marker, row)| format!("mark {marker} {}\n", id(row)))
+                .map(|(marker, row)| format!("{word} {marker} {}\n", row.id))
                 .collect()
         };
-        let is_fusion = |command: &&String| command.contains("--output_type fusion");
-        let depth = commands.iter().filter(|command| !is_fusion(command));
-        let depth: Vec<&str> = depth.map(String::as_str).collect();
-        let fusion = commands
-            .iter()
-            .find(is_fusion)
-            .map_or(TWO_SIZES, String::as_str);
         let head = with_refusal(include_str!("../../../integrations/mvsnet/run_head.sh"));
-        let (before, after) = (marks(|_| "unfinished"), marks(|row| &row.id));
-        format!("{head}{before}{}\n{after}{fusion}\n", depth.join("\n"))
+        let (before, after) = (marks("begin"), marks("mark"));
+        let depth = commands.depth.join("\n");
+        let fusion = commands.fusion.as_deref().unwrap_or(TWO_SIZES);
+        format!("{head}{before}{depth}\n{after}{fusion}\n")
     }
 
     fn finished(&self, call: &Call) -> impl Iterator<Item = &Row> {
@@ -206,7 +200,7 @@ pub fn commands(call: &Call) -> Result<Vec<Vec<OsString>>, String> {
         }
     };
     if entries.is_empty() {
-        return Err("no two of the finished maps show the same: nothing to join".into());
+        return Err("no two of the finished maps share points: nothing to join".into());
     }
     let others = entries
         .iter()

@@ -4,17 +4,27 @@ use super::{AGREEING, lists::Lists};
 use crate::{
     backends::Selection,
     model::{
-        camera::Camera,
         cluster::{MapScale, RankedCluster},
+        scene::ViewIndex,
     },
 };
 
-/// Returns width and height of an image of the camera of which PatchmatchNet makes the longest side
-/// at most `longest`; it rounds down.
-pub(super) fn reduced(camera: &Camera, longest: Option<u32>) -> [u32; 2] {
-    let side = camera.width.max(camera.height);
+/// Width and height of the picture of a view, which may be smaller than that of its camera, pixels.
+pub(super) fn stored_size(selection: &Selection, view: ViewIndex) -> [u32; 2] {
+    let mut smaller = selection.image_faults.other_size.iter();
+    let camera = selection.scene.camera_of(view);
+    match smaller.find(|(other, _)| *other == view) {
+        Some((_, size)) => *size,
+        None => [camera.width, camera.height],
+    }
+}
+
+/// Returns width and height of a picture of which PatchmatchNet makes the longest side at most
+/// `longest`; it rounds down.
+pub(super) fn reduced(size: [u32; 2], longest: Option<u32>) -> [u32; 2] {
+    let side = size[0].max(size[1]);
     let scale = longest.map_or(1.0, |longest| f64::from(longest) / f64::from(side));
-    [camera.width, camera.height].map(|side| (scale.min(1.0) * f64::from(side)) as u32)
+    size.map(|side| (scale.min(1.0) * f64::from(side)) as u32)
 }
 
 /// Returns the longest side to which images are reduced to be matched or fused at this size, pixels;
@@ -48,18 +58,11 @@ pub(super) fn at_another_size(selection: &Selection, lists: &Lists) -> Option<St
     })
 }
 
-/// Returns the longest side of an image that is matched at this size, pixels.
+/// Returns the longest side of a picture that is matched at this size, pixels.
 fn longest(selection: &Selection, lists: &Lists, scale: f64) -> u32 {
-    let cameras = lists
-        .views
-        .iter()
-        .map(|&view| selection.scene.camera_of(view));
-    (f64::from(
-        cameras
-            .map(|camera| camera.width.max(camera.height))
-            .max()
-            .unwrap_or(0),
-    ) * scale) as u32
+    let sizes = lists.views.iter().map(|&view| stored_size(selection, view));
+    let longest = sizes.flatten().max().unwrap_or(0);
+    (f64::from(longest) * scale) as u32
 }
 
 /// The words of commands with their values.
@@ -68,13 +71,12 @@ pub(super) struct Words([(&'static str, String); 7]);
 impl Words {
     pub fn new(selection: &Selection, lists: &Lists, scale: MapScale) -> Self {
         let size = matched_scale(selection, scale);
-        let sides = |side: fn(&Camera) -> u32| {
-            lists
-                .views
-                .iter()
-                .map(move |&v| side(selection.scene.camera_of(v)))
+        // No picture is smaller.
+        let least = |axis: usize| {
+            let sides = lists.views.iter();
+            let sides = sides.map(|&view| stored_size(selection, view)[axis]);
+            ((f64::from(sides.min().unwrap_or(0)) * size) as u32).to_string()
         };
-        let scaled = |side: Option<u32>| (f64::from(side.unwrap_or(0)) * size) as u32;
         let most = selection.most_partners();
         let limit = limit(selection, lists, scale).map(|side| format!(" --image_max_dim {side}"));
         Self([
@@ -88,14 +90,8 @@ impl Words {
             ),
             ("VIEWS", (most + 1).to_string()),
             ("PARTNERS", most.to_string()),
-            (
-                "WIDTH",
-                scaled(sides(|camera| camera.width).min()).to_string(),
-            ),
-            (
-                "HEIGHT",
-                scaled(sides(|camera| camera.height).min()).to_string(),
-            ),
+            ("WIDTH", least(0)),
+            ("HEIGHT", least(1)),
             ("AGREEING", AGREEING.to_string()),
             ("SIZE", limit.unwrap_or_default()),
         ])

@@ -13,7 +13,7 @@ mod sure;
 
 use std::{collections::BTreeMap, path::PathBuf, sync::OnceLock};
 
-use viewrank::backends::{BackendError, Export, ExportOptions, Selection, by_name};
+use viewrank::backends::{BACKENDS, BackendError, Export, ExportOptions, Selection, by_name};
 use viewrank_core::{
     method::synthetic::Town,
     model::{
@@ -341,6 +341,31 @@ fn distorted_images_are_refused_with_the_command_that_makes_them() {
     }
     fixture.project.model.format = ModelFormat::OpenMvs;
     assert!(fixture.export("splat").says("image_undistorter"));
+}
+
+/// What is put into scripts when the export is complete.
+#[test]
+fn no_script_lacks_what_belongs_into_it() {
+    let fixture = Fixture::new(4);
+    let mut scripts = 0;
+    for backend in BACKENDS {
+        let Ok(export) = fixture.try_export(backend.name, &ExportOptions::default()) else {
+            continue;
+        };
+        for (name, contents) in &export.files.files {
+            let Contents::Script(script) = contents else {
+                continue;
+            };
+            scripts += 1;
+            let script = String::from_utf8_lossy(script);
+            let is_left = |line: &str| line.trim_matches(['#', ' ']).starts_with('@');
+            let left = script
+                .lines()
+                .find(|line| is_left(line) && line.ends_with('@'));
+            assert_eq!(left, None, "{name} of {}", backend.name);
+        }
+    }
+    assert!(scripts > 8);
 }
 
 /// The sizes that the programs take without an option, and that of a plan for another program where

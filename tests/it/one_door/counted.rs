@@ -238,16 +238,16 @@ fn finished_maps_elsewhere_count_once_they_are_where_the_program_writes_them() {
     let (code, _, stderr) = folder.plan(&finished);
     assert_eq!((code, folder.finished(".")), (0, 1), "{stderr}");
     assert!(
-        stderr.contains("copy the 1 finished ones there"),
+        stderr.contains("copy 1 finished depth map there"),
         "{stderr}"
     );
     let status = folder.status(".");
     let note = status["note"].as_str().unwrap_or_default();
-    assert!(note.contains("copy them there"), "{status}");
+    assert!(note.contains("put it where sgm writes its own"), "{status}");
     folder.write(&format!("viewrank/sgm/depth_maps/{key}.npy"), npy());
     let status = folder.status(".");
     assert_eq!(status["done"], 1, "{status}");
-    assert!(!status.to_string().contains("copy them there"), "{status}");
+    assert!(!status.to_string().contains("writes its own"), "{status}");
 }
 
 #[test]

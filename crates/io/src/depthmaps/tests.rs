@@ -405,6 +405,38 @@ fn reads_big_endian_pfm_from_the_bottom_up() {
 }
 
 #[test]
+fn a_pfm_of_another_size_has_the_nearest_pixel_at_each_place() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.pfm");
+    let write = |bytes: &[u8]| std::fs::write(&path, bytes).unwrap();
+    let mut bytes = b"Pf\n2 2\n1.0\n".to_vec();
+    bytes.extend([3.0f32, 4.0, 1.0, 2.0].iter().flat_map(|v| v.to_be_bytes()));
+    write(&bytes);
+    assert_eq!(pfm::whole_size(&path).unwrap(), [2, 2]);
+    let wider = pfm::resized(&path, PixelBound::new(4), [4, 1]).unwrap();
+    let wider = parse(&wider, DepthMapFormat::Pfm).unwrap();
+    assert_eq!((wider.width, wider.height), (4, 1));
+    assert_eq!(wider.depth, [1.0, 1.0, 2.0, 2.0]);
+    let higher = pfm::resized(&path, PixelBound::new(4), [2, 4]).unwrap();
+    let higher = parse(&higher, DepthMapFormat::Pfm).unwrap().depth;
+    assert_eq!(higher, [1.0, 2.0, 1.0, 2.0, 3.0, 4.0, 3.0, 4.0]);
+    // Of a map that has grown since its size was read.
+    assert!(pfm::resized(&path, PixelBound::new(3), [1, 1]).is_err());
+    for cut in [
+        &bytes[..bytes.len() - 1],
+        &bytes[..6],
+        b"Pf\n0 0\n-1\n",
+        b"PF\n1 1\n-1\n",
+    ] {
+        write(cut);
+        assert!(
+            pfm::whole_size(&path).is_err()
+                && pfm::resized(&path, PixelBound::new(4), [1, 1]).is_err()
+        );
+    }
+}
+
+#[test]
 fn errors_identify_normal_maps_and_truncated_files() {
     let mut normals = b"2&1&3&".to_vec();
     normals.extend(floats_le(&[0.0; 6]));
