@@ -4,6 +4,7 @@ use std::path::Path;
 
 use super::arguments::typed_words;
 use crate::{
+    apps::undistort::default_workspace,
     backends,
     base::shell::{command_path, command_word, one_after_other},
     io::project::Project,
@@ -102,7 +103,7 @@ pub fn next(
                 Some(dense) => plan_of(&dense),
                 None => one_after_other(
                     &format!("viewrank undistort {root}"),
-                    &plan_of(&project.home.join("dense")),
+                    &plan_of(&default_workspace(project)),
                 ),
             }
         }

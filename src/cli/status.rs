@@ -13,6 +13,7 @@ use crate::{
     backends::{self, known_maps},
     base::{
         error::{Advice, Hint, shortened},
+        paths,
         printable::printable,
         shell::{command_path, shown_path},
     },
@@ -24,7 +25,7 @@ use crate::{
     },
     io::{
         depthmaps::{self, DepthMapError, DepthMapFile},
-        project::Project,
+        project::{self, Project},
     },
     model::scene::Scene,
     show::{
@@ -89,6 +90,11 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 
 /// Prints the state of a project by its own files.
 fn print_unwatched(project: PathBuf, is_json: bool) -> Result<(), Failure> {
+    // A folder or a file in a project means the project.
+    let project = match project::containing(&project) {
+        Some(above) if planned_maps(&project).is_none() => paths::from_here(&above),
+        _ => project,
+    };
     let Some(plan) = planned_maps(&project) else {
         return Err(NoStatus::NoPlan(project).into());
     };
@@ -202,12 +208,18 @@ impl MapsThere {
         let elsewhere = folders.iter().filter(|other| **other != folder);
         let elsewhere = elsewhere.map(|other| {
             let maps = in_folder(other, &scene, &|_| true).unwrap_or_default();
-            (maps.len(), other, "another program has made them")
+            let why = if other.ends_with(backend) {
+                "they are not where its plan has its own"
+            } else {
+                "another program has made them"
+            };
+            (maps.len(), other, why)
         });
         let mut others = [unknown].into_iter().chain(elsewhere);
         let others = others.find(|(n, ..)| *n > 0).map(|(n, folder, why)| {
             let folder = shown_path(folder);
-            format!("{n} depth maps in {folder} do not count for this plan for {backend}: {why}.")
+            let plural = if n == 1 { "" } else { "s" };
+            format!("not counted for this plan for {backend}: {n} depth map{plural} in {folder}, since {why}.")
         });
         let name = |map: &DepthMapFile| scene.name(map.view).to_owned();
         Some(Self {
@@ -335,7 +347,7 @@ fn planned_in_words(plan: &PlannedMaps, maps: usize) -> String {
                 later => format!("; {later} more are there, not measured yet (viewrank evaluate)"),
             };
             format!(
-                "{done} of {planned} planned depth maps are finished: {}, as measured for this plan{later}.",
+                "{done} of {planned} planned depth maps finished: {}, as measured for this plan{later}.",
                 share_of_all(*share, plan)
             )
         }
@@ -344,7 +356,7 @@ fn planned_in_words(plan: &PlannedMaps, maps: usize) -> String {
             share_of_all(plan.share, plan)
         ),
         _ => format!(
-            "0 of {planned} planned depth maps are finished; together they are to cover {}.",
+            "0 of {planned} planned depth maps finished; together they are to cover {}.",
             share_of_all(plan.share, plan)
         ),
     }
@@ -370,7 +382,7 @@ fn unwatched(progress: &Progress, plan: &PlannedMaps, later: usize) -> Vec<Strin
         format!(": {} ({wanted})", share_of_all(share, plan))
     });
     let mut lines = vec![format!(
-        "{done} of {clusters} planned depth maps are finished{share}."
+        "{done} of {clusters} planned depth maps finished{share}."
     )];
     lines.extend(progress.note.clone());
     // Without a target of the user's the list ends the work, whatever it reached.

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::{
-    apps::undistort::{self, UndistortOptions, UndistortReport},
+    apps::undistort::{self, UndistortOptions, UndistortReport, default_workspace},
     base::shell::command_path,
     config::CommandLineSettings,
     io::project::Project,
@@ -94,7 +94,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let out = arguments
         .out
         .clone()
-        .unwrap_or_else(|| project.home.join("dense"));
+        .unwrap_or_else(|| default_workspace(&project));
     let done = undistorted(&project, &arguments.options(), &out, arguments.quiet)?;
     match arguments.format {
         Format::Json => print_json(&done),

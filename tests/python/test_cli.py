@@ -311,7 +311,7 @@ def test_a_project_that_must_not_be_written_to_is_planned_elsewhere(viewrank, va
     viewrank("report", out, "--quiet")
     viewrank("report", out, "--out", tmp_path / "page", "--quiet")
     assert (out / "viewrank/gipuma/images").is_dir() and (out / "viewrank/report.html").is_file() and (tmp_path / "page/report.html").is_file()
-    assert "planned depth maps are finished" in viewrank("status", out).stdout
+    assert "planned depth maps finished" in viewrank("status", out).stdout
     refused = viewrank("run", out, expect=2)
     assert f"viewrank run '{valley}'" in refused.stderr and f"viewrank dispatch {out}" in refused.stderr
     viewrank("plan", out, *PLAN, "--quiet")

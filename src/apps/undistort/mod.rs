@@ -34,7 +34,7 @@ use crate::{
         },
         output::{self, Contents, Disk, FileSet, OutputError},
         pictures::PictureFolders,
-        project::{ImageFolder, Project, ProjectError, undistorted_set},
+        project::{ImageFolder, Project, ProjectError, WORKSPACES, undistorted_set},
     },
     model::{
         camera::Camera,
@@ -106,6 +106,23 @@ const BATCH_PIXELS: u64 = 100_000_000;
 /// Name of the file set that holds the model.
 const SET: &str = "undistorted";
 
+/// The folder for the undistorted images of a project where none is named: `dense`, or another if
+/// somebody else's model is in that.
+pub fn default_workspace(project: &Project) -> PathBuf {
+    let [dense, other] = WORKSPACES.map(|name| project.home.join(name));
+    if has_model_of_others(&dense) {
+        other
+    } else {
+        dense
+    }
+}
+
+/// Returns whether a workspace has a model that viewrank did not write, whose images and depth maps
+/// would be mixed with ours.
+fn has_model_of_others(workspace: &Path) -> bool {
+    workspace.join("sparse").is_dir() && output::recorded(workspace, SET).is_empty()
+}
+
 /// Writes the undistorted images and the model of the project to a dense workspace.
 pub fn undistort(
     project: &Project,
@@ -115,6 +132,9 @@ pub fn undistort(
     watcher: &dyn Watcher,
 ) -> Result<UndistortReport, UndistortError> {
     output::refuse_to_leave(&project.home, out)?;
+    if has_model_of_others(out) {
+        return Err(UndistortError::OthersModel(out.into()));
+    }
     let scene = project.read_scene()?;
     let job = Undistortion::new(project, &scene, options, out)?;
     let batches = job.batches();
@@ -446,6 +466,8 @@ pub enum UndistortError {
     NoImages(PathBuf, String),
     #[error("cannot write to {}: it contains the images to undistort", .0.display())]
     OwnImages(PathBuf),
+    #[error("cannot write to {}: its model is not viewrank's", .0.display())]
+    OthersModel(PathBuf),
     #[error("cannot undistort {model} cameras to pinhole cameras")]
     NoPinhole { model: &'static str },
     #[error("{}: {source}", path.display())]
@@ -464,7 +486,7 @@ impl Hint for UndistortError {
         Some(match self {
             Self::Project(error) => return error.hint(),
             Self::NoImages(_, hint) => hint.as_str().into(),
-            Self::OwnImages(_) => Advice::text("write to another folder with ").set("out"),
+            Self::OwnImages(_) | Self::OthersModel(_) => Advice::text("write to another folder with ").set("out"),
             Self::NoPinhole { .. } => {
                 "cut the panoramas into perspective views first, for instance with COLMAP's panorama_sfm.py".into()
             }

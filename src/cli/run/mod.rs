@@ -20,7 +20,11 @@ use super::{
     undistort::undistorted,
 };
 use crate::{
-    apps::{dispatch::Dispatch, planning, undistort::UndistortOptions},
+    apps::{
+        dispatch::Dispatch,
+        planning,
+        undistort::{UndistortOptions, default_workspace},
+    },
     backends::{self, Backend, Choice, Product},
     base::{platform, shell::command_path},
     config::{Budget, CommandLineSettings, Settings, TypedSetting},
@@ -338,7 +342,7 @@ fn undistorted_project(
     project: Project,
     backend: &Backend,
 ) -> Result<PathBuf, Failure> {
-    let dense = project.root.join("dense");
+    let dense = default_workspace(&project);
     if let Ok(earlier) = Project::open(&dense, None) {
         Dispatch::refuse_if_at_work(&earlier)?;
     }

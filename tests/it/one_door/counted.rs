@@ -115,7 +115,7 @@ fn maps_in_a_workspace_below_do_not_count_for_the_plan_of_the_distorted_model() 
     assert_eq!(status["state"], "planned", "{status}");
     let note = status["note"].as_str().unwrap();
     assert!(
-        note.contains("9 depth maps") && note.contains("do not count"),
+        note.contains("9 depth maps") && note.contains("not counted"),
         "{note}"
     );
     let root = folder.path().to_str().unwrap();
@@ -220,6 +220,20 @@ fn the_maps_of_another_program_are_named_and_do_not_count() {
     assert!(watched.status.success(), "{watched:?}");
     assert_eq!(folder.status("p")["state"], "planned");
     assert!(!folder.at("p/viewrank/progress.json").exists());
+}
+
+#[test]
+fn a_part_of_a_project_has_the_status_of_the_project() {
+    let folder = Folder::new();
+    folder
+        .colmap("sparse/0", &ColmapModel::from_scene(&scene()))
+        .pictures(&scene(), |name| format!("images/{name}"));
+    plan(&folder, ".", &["--backend", "openmvs", "--budget", "3"]);
+    let whole = folder.status(".");
+    assert_eq!(whole["clusters"], 3, "{whole}");
+    for part in ["viewrank", "viewrank/manifest.json", "sparse/0", "images"] {
+        assert_eq!(folder.status(part)["clusters"], 3, "{part}");
+    }
 }
 
 #[test]

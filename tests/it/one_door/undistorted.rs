@@ -175,6 +175,35 @@ fn a_workspace_of_other_poses_is_named_and_not_advised() {
 }
 
 #[test]
+fn a_workspace_of_somebody_else_is_not_mixed_with_viewrank_s() {
+    let folder = Folder::new();
+    folder
+        .colmap("sparse/0", &distorted())
+        .pictures(&scene(), |name| format!("images/{name}"));
+    workspace(&folder, "dense", &moved());
+    let root = folder.path().to_str().unwrap();
+    let model = fs::read(folder.at("dense/sparse/images.bin")).unwrap();
+    let (_, stdout, _) = folder.plan(&["--backend", "openmvs"]);
+    let undistorted = folder.at("undistorted").display().to_string();
+    assert!(next(&stdout).contains(&undistorted), "{stdout}");
+    let dense = folder.at("dense").display().to_string();
+    let (code, _, stderr) = said(&viewrank(&["undistort", root, "--out", &dense]));
+    assert_eq!(code, 1);
+    assert!(
+        stderr.contains("its model is not viewrank's") && stderr.contains("--out"),
+        "{stderr}"
+    );
+    assert!(viewrank(&["undistort", root]).status.success());
+    let (code, _, stderr) = folder.plan(&["--backend", "openmvs"]);
+    assert_eq!(code, 0, "{stderr}");
+    assert!(folder.at("undistorted/viewrank/manifest.json").is_file());
+    assert_eq!(
+        fs::read(folder.at("dense/sparse/images.bin")).unwrap(),
+        model
+    );
+}
+
+#[test]
 fn a_workspace_of_another_usual_name_is_found() {
     let folder = Folder::new();
     folder

@@ -37,7 +37,10 @@ fn project_of(part: &Path, name: &str) -> Option<PathBuf> {
     let above = part.parent()?;
     match name {
         "images" if is_project(part) => None,
-        "viewrank" if !is_project(part) => is_project(above).then(|| above.to_path_buf()),
+        // Scenes of an export in it are no project of their own.
+        "viewrank" if part.join("manifest.json").is_file() || !is_project(part) => {
+            is_project(above).then(|| above.to_path_buf())
+        }
         _ if is_export(part) && above.ends_with("viewrank") => {
             let home = above.parent()?;
             (is_project(home) || elsewhere::project_of(home).is_some()).then(|| home.to_path_buf())

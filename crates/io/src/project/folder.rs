@@ -150,6 +150,8 @@ impl ImageFolder {
             .into_iter()
             .flat_map(|others| &others.found)
             .map(|(name, other)| (name.as_str(), other.as_str()))
+            // A link that leads nowhere is found by its name.
+            .filter(|(name, other)| name != other)
     }
 
     /// Gives the images of a model the names under which the folder has their files, and finds the

@@ -44,7 +44,7 @@ use crate::{
     },
     output::Disk,
     paths,
-    shell::{command_path, command_word},
+    shell::{command_path, command_word, shown_path},
 };
 
 /// Sparse model formats.
@@ -332,7 +332,14 @@ impl Project {
         };
         let folder = self.images.as_ref().map(|images| images.to_path_buf());
         let folder = folder.unwrap_or_else(|| self.root.join("images"));
-        format!("put the {which} into {}", command_path(&folder))
+        let shown = command_path(&folder);
+        match folder.read_link() {
+            Ok(target) if !folder.exists() => {
+                let target = shown_path(&target);
+                format!("bring back {target}, to which the link {shown} leads")
+            }
+            _ => format!("put the {which} into {shown}"),
+        }
     }
 
     /// Returns whether `viewrank undistort` made the dense workspace.
