@@ -28,7 +28,8 @@ pub struct Arguments {
     /// Folder to which the image names of the model are relative [default: where they are found]
     #[arg(long, value_name = "DIR")]
     images: Option<PathBuf>,
-    /// Folder of the workspace [default: PROJECT/dense]
+    /// Folder of the workspace [default: PROJECT/dense, or PROJECT/undistorted beside the dense
+    /// workspace of another program]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
 

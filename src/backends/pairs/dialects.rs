@@ -92,7 +92,7 @@ pub static PATCHMATCHNET: Backend = Backend {
     aliases: &["patchmatch"],
     program: "PatchmatchNet",
     last_run: LastRun::At {
-        date: "2026-11-25",
+        date: "2026-11-30",
         version: "974abc0 (CPU)",
         what: "maps and fusion",
     },
