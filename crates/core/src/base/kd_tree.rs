@@ -53,6 +53,13 @@ impl KdTree {
         found.map(|(_, index)| index)
     }
 
+    /// Returns the place in the box of all points that is nearest to this one. From there a search
+    /// ends soon; from far away all points are about equally far.
+    pub fn in_bounds(&self, place: &Point3<f64>) -> Point3<f64> {
+        let [low, high] = &self.bounds;
+        Point3::from([0, 1, 2].map(|axis| place[axis].max(low[axis]).min(high[axis])))
+    }
+
     /// `away`: distance to the box of the range along each axis. From far away all points of a cloud
     /// are about equally far along the axis of a split, but not in space.
     fn look<const N: usize>(
@@ -143,6 +150,21 @@ mod tests {
         all.sort_by(|a, b| far(a).total_cmp(&far(b)).then(a.cmp(b)));
         all.resize(N, u32::MAX);
         all.try_into().unwrap()
+    }
+
+    #[test]
+    fn from_far_away_a_search_from_the_bounds_looks_at_few_points() {
+        let points: Vec<Point3<f64>> = (0..10_000)
+            .map(|n| Point3::new(f64::from(n % 100), f64::from(n / 100), f64::from(n * 7 % 5)))
+            .collect();
+        let tree = KdTree::new(&points);
+        let place = Point3::new(1e6, 50.2, -1e6);
+        assert_eq!(tree.in_bounds(&place), Point3::new(99.0, 50.2, 0.0));
+        assert_eq!(tree.in_bounds(&points[17]), points[17]);
+        OFFERED.with(|offered| offered.set(0));
+        let [near] = tree.nearest(&tree.in_bounds(&place));
+        assert!(points[near as usize].x > 90.0);
+        assert!(OFFERED.with(Cell::get) < 200);
     }
 
     proptest! {

@@ -72,7 +72,8 @@ impl WantedGsd {
         self.everywhere
     }
 
-    /// Returns the GSD at each position, times `factor`.
+    /// Returns the GSD at each position, times `factor`; outside of the points that of the nearest
+    /// place in their box.
     pub fn lengths(
         &self,
         places: &[Point3<f64>],
@@ -89,7 +90,7 @@ impl WantedGsd {
             .try_for_each(|(lengths, places)| {
                 watcher.check()?;
                 for (length, place) in lengths.iter_mut().zip(places) {
-                    let [nearest] = known.points.nearest(place);
+                    let [nearest] = known.points.nearest(&known.points.in_bounds(place));
                     *length = factor * known.gsd[nearest as usize];
                 }
                 Ok(())
