@@ -10,7 +10,7 @@ use crate::{
     },
 };
 
-/// Ranks best by real curves (`docs/benchmarks.md`).
+/// Of those that were tried it ranks best by real curves.
 pub(super) const CONFIDENCE: PairConfidence = PairConfidence {
     min_matches: 2,
     p0: 0.9,

@@ -57,7 +57,8 @@ mod traps;
 mod widths;
 
 /// Maps that must agree on a point. COLMAP's default of 5 gives 40 to 74 % of the surface that 2 does,
-/// 3 to 12 points more accurate (docs/benchmarks.md), and how many maps see a place depends on the plan.
+/// 3 to 12 points more accurate (docs/benchmarks.md), and how many maps see a place depends on the
+/// plan.
 const MIN_PIXELS: usize = 2;
 /// Folder of viewrank's own files in the workspace.
 const OWN: &str = "stereo/viewrank/";

@@ -30,7 +30,7 @@ use crate::{
 };
 
 /// It works on a polar grid around the epipole, so an epipole in the image or a large scale ratio
-/// matters less than for a matcher that rectifies (`docs/benchmarks.md`).
+/// matters less than for a matcher that rectifies.
 const NUMBERS: PlanningNumbers = PlanningNumbers {
     gate: Gate {
         min_shared_points: 8,

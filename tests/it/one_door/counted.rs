@@ -121,7 +121,7 @@ fn maps_in_a_workspace_below_do_not_count_for_the_plan_of_the_distorted_model() 
     let root = folder.path().to_str().unwrap();
     let (_, stdout, _) = said(&viewrank(&["status", root]));
     assert!(
-        stdout.contains("0 of 3") && stdout.contains("do not count"),
+        stdout.contains("0 of 3") && stdout.contains("not counted"),
         "{stdout}"
     );
 }
