@@ -249,7 +249,11 @@ impl PictureFolders {
     pub fn masks_of<'a>(&self, mut names: impl Iterator<Item = &'a str>) -> Option<PathBuf> {
         let mask = names.find_map(|name| self.mask_file(name))?;
         let folder = self.masks.iter().find(|folder| mask.starts_with(folder));
-        Some(folder.map_or(mask.parent()?, PathBuf::as_path).to_path_buf())
+        Some(
+            folder
+                .map_or(mask.parent()?, PathBuf::as_path)
+                .to_path_buf(),
+        )
     }
 
     /// Returns the file of a view's mask. A pipe or a device is found, too, so that reading it says

@@ -381,7 +381,10 @@ mod tests {
             why: "is an absolute path",
         };
         let of_name = name.at(Place::Line(3)).in_record(|| long);
-        for (fault, why) in [(of_json, "a whole number from 0 up"), (of_name, "is an absolute path")] {
+        for (fault, why) in [
+            (of_json, "a whole number from 0 up"),
+            (of_name, "is an absolute path"),
+        ] {
             let text = fault.to_string();
             assert!(text.len() < 3000, "{}", text.len());
             assert!(text.starts_with("line ") && text.contains(why), "{text}");
