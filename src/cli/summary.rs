@@ -415,8 +415,9 @@ impl<'a> Summary<'a> {
         let which = if self.is_finished() {
             "Measured, they".into()
         } else {
+            let are = if self.finished == 1 { "is" } else { "are" };
             format!(
-                "{} of them are finished, the first of the list: they",
+                "{} of them {are} finished, the first of the list: they",
                 grouped(self.finished)
             )
         };

@@ -258,7 +258,14 @@ fn scaled(inputs: &Inputs) -> Option<Finding> {
         (Severity::Warning, "scaled-images"),
         &inputs.images.other_size,
     );
-    let what = "scaled copies have less detail than is planned for, and some programs stop at them";
+    let is_larger = images
+        .first()
+        .is_some_and(|(view, [width, _])| *width > inputs.scene.camera_of(*view).width);
+    let what = if is_larger {
+        "some programs stop at images of another size"
+    } else {
+        "scaled copies have less detail than is planned for, and some programs stop at them"
+    };
     let cure =
         "give the images that the model was made from, or a model with cameras of their size";
     of_another_size(inputs, kind, images, what, cure)
