@@ -40,6 +40,10 @@ own_files() {
         own=$(tried mktemp "${file%/*}/XXXXXX") && tried cp -p "$file" "$own" && tried mv -f "$own" "$file" || exit 1
     done || exit 1
 }
+# Records in done/, for scripts and viewrank run, what a depth map is made from: NAME LINE
+mark() {
+    draft=$(tried mktemp done/XXXXXX) && printf '%s\n' "$2" > "$draft" && tried mv -f "$draft" "done/$1"
+}
 # Refuses a list of more than 64 MiB, which is more than that of a hundred thousand images, before anything reads it: FILE. The system counts blocks of 512 bytes.
 refuse_long() {
     [ -z "$(find "$1" -type f -size +131072 2>/dev/null)" ] || {

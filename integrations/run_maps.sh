@@ -16,10 +16,6 @@ fail() {
     say "error: $1 failed" >&2
     failed=1
 }
-# Puts a line into a new file: NAME LINE
-mark() {
-    draft=$(tried mktemp done/XXXXXX) && printf '%s\n' "$2" > "$draft" && tried mv -f "$draft" "done/$1"
-}
 @STEPS@
 # Computes a depth map unless it is there: MARK ID MAP WORDS for `compute`. What a killed run has cut off is not.
 map() {

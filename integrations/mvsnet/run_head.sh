@@ -17,10 +17,6 @@ PATCHMATCHNET=$(cd "$OLDPWD" && cd "${PATCHMATCHNET:?the folder of its eval.py}"
     exit 1
 }
 tried mkdir -p done
-# Records what a depth map is made from: NAME LINE
-mark() {
-    draft=$(tried mktemp done/XXXXXX) && printf '%s\n' "$2" > "$draft" && tried mv -f "$draft" "done/$1"
-}
 # Forgets that a depth map is made from something else: NAME LINE
 begin() {
     made=$(head -c 16 "done/$1" 2> /dev/null | LC_ALL=C tr -c '0-9a-z' '?') || made=

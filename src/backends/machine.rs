@@ -6,7 +6,7 @@ use std::{
     process::{Command, Stdio},
 };
 
-use super::{BACKENDS, Backend, colmap, openmvs, sgm};
+use super::{BACKENDS, Backend, Tasks, colmap, openmvs, sgm};
 use crate::{base::platform, config::Settings, config::UnknownBackend, io::project::Project};
 
 /// How the backend came to be chosen.
@@ -70,11 +70,11 @@ pub fn by_default(project: &Project) -> (&'static Backend, Choice) {
 }
 
 fn densify() -> Option<PathBuf> {
-    openmvs::BACKEND.task_program?.installed()
+    openmvs::BACKEND.tasks?.program.installed()
 }
 
 fn colmap() -> Option<PathBuf> {
-    colmap::BACKEND.task_program?.installed()
+    colmap::BACKEND.tasks?.program.installed()
 }
 
 /// Returns COLMAP if it can match: its dense stereo needs CUDA, or HIP since 4.2.
@@ -130,8 +130,8 @@ pub fn can_match_here(backend: &Backend) -> bool {
         name if name == colmap::BACKEND.name => colmap_with_gpu().is_some(),
         name if name == sgm::BACKEND.name => import_error(&python()).is_none(),
         _ => {
-            let program = backend.task_program;
-            program.is_some_and(|program| program.installed().is_some())
+            let installed = |tasks: Tasks| tasks.program.installed();
+            backend.tasks.and_then(installed).is_some()
         }
     }
 }

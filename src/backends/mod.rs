@@ -55,7 +55,7 @@ pub use machine::{
 };
 pub use options::{ExportOptions, References};
 pub use record::{Export, ExportRecord, ExportedCluster, ExportedView};
-pub use runner::{Call, Product, TaskProgram, TaskRunner};
+pub use runner::{Call, Product, TaskProgram, TaskRunner, Tasks};
 pub use selection::{Selection, cure_of_images, of_unread_kind};
 pub use semi_global::pair_files;
 pub use strangers::with_refusal;
@@ -117,10 +117,8 @@ pub struct Backend {
     /// True if its exports match key views at full and at half size, and fuse their depth maps
     /// (method 5.8).
     pub mixes_sizes: bool,
-    /// The program that `viewrank run` calls for each depth map; `None` if it can only run as a whole.
-    pub task_program: Option<TaskProgram>,
-    /// How it is called, for exports with the default options; `None` as above.
-    pub tasks: fn(&Selection, &Export) -> Option<TaskRunner>,
+    /// How `viewrank run` computes its depth maps; `None` if the program can only run as a whole.
+    pub tasks: Option<Tasks>,
     /// Looks at the folder of its depth maps; returns whether one below was made for the plan that was
     /// exported there. Where only exports write, all are.
     pub known_maps: fn(&Path) -> KnownMaps,
@@ -153,8 +151,7 @@ impl Backend {
         takes_masks: false,
         serves: |_| false,
         mixes_sizes: false,
-        task_program: None,
-        tasks: |_, _| None,
+        tasks: None,
         known_maps: |_| Box::new(|_| true),
         traps: |_| Vec::new(),
         export: |_, _| {

@@ -11,6 +11,7 @@ use std::{
 
 use serde::de::DeserializeOwned;
 
+use super::{Export, Selection};
 use crate::{
     base::{pixels::PixelBound, platform},
     io::{
@@ -146,6 +147,14 @@ impl TaskProgram {
         let named = named.and_then(|named| platform::located(&named));
         named.or_else(|| platform::located(Path::new(self.name)))
     }
+}
+
+/// How a backend computes depth maps one by one.
+#[derive(Clone, Copy)]
+pub struct Tasks {
+    pub program: TaskProgram,
+    /// Returns the runner for an export with the default options.
+    pub runner: fn(&Selection, &Export) -> TaskRunner,
 }
 
 /// How the clusters of an export are computed one by one, and their depth maps fused.

@@ -229,7 +229,7 @@ impl Selection<'_> {
             }
             None => {
                 let (root, model) = (self.project.as_argument(), &self.project.model);
-                let dense = command_path(&self.project.home.join("dense"));
+                let dense = command_path(&self.project.place_of_undistorted());
                 let images = self.project.images.as_ref();
                 let images = images.map_or_else(
                     || self.project.root.join("images"),

@@ -10,7 +10,7 @@ use crate::{
     },
 };
 
-/// Of those that were tried it ranks best by real curves.
+/// Of the settings tried, these rank best by real curves.
 pub(super) const CONFIDENCE: PairConfidence = PairConfidence {
     min_matches: 2,
     p0: 0.9,

@@ -4,7 +4,6 @@ use std::path::Path;
 
 use super::arguments::typed_words;
 use crate::{
-    apps::undistort::default_workspace,
     backends,
     base::shell::{command_path, command_word, one_after_other},
     io::project::Project,
@@ -103,7 +102,7 @@ pub fn next(
                 Some(dense) => plan_of(&dense),
                 None => one_after_other(
                     &format!("viewrank undistort {root}"),
-                    &plan_of(&default_workspace(project)),
+                    &plan_of(&project.place_of_undistorted()),
                 ),
             }
         }

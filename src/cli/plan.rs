@@ -8,6 +8,8 @@ use std::{
 use crate::{
     apps::{
         dispatch::Dispatch,
+        doctor::counted,
+        planning,
         replan::{EarlierPlan, MapFolder, replan},
         report::{DepthMapFolders, MissedRegion, own_folder_of_maps},
     },
@@ -28,17 +30,13 @@ use crate::{
     method::{region::RegionError, surface::SurfaceError},
     plan::{self, Plan, PlanError},
     show::{
-        files::PlanFiles,
+        files::{PlanFiles, files_of_same_model},
         manifest::{
             WrittenPlanError, planned_backend, planned_backends, planned_model, planned_options,
             planned_test_every, warnings_with,
         },
         tables,
     },
-};
-use crate::{
-    apps::{doctor::counted, planning},
-    show::files::files_of_same_model,
 };
 use clap::Args;
 
@@ -811,14 +809,10 @@ fn report(
         }
     };
     let summary = Summary::new(project, plan, files, arguments.dry_run, next, asked);
-    let said = match arguments.format {
+    let (said, look) = match arguments.format {
         Format::Json => return print_json(&summary),
-        Format::Text if !arguments.quiet => summary.text(arguments.verbose),
-        Format::Text => Vec::new(),
-    };
-    let look = match said[..] {
-        [] => Vec::new(),
-        _ => summary.where_to_look(),
+        Format::Text if arguments.quiet => Default::default(),
+        Format::Text => (summary.text(arguments.verbose), summary.where_to_look()),
     };
     // What the summary says, or the error will, is no warning as well.
     let is_said = |warning: &&String| {

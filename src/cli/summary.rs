@@ -197,9 +197,10 @@ impl<'a> Summary<'a> {
             self.advice(is_verbose),
             self.curve(),
             self.worth(is_verbose),
-            Vec::new(),
         ];
-        parts.join(&String::new())
+        let mut lines = parts.join(&String::new());
+        lines.push(String::new());
+        lines
     }
 
     fn found(&self) -> Vec<String> {
@@ -634,7 +635,7 @@ fn note_on_gps(project: &Project, plan: &Plan, place: &Georeference) -> Option<S
             significant(support.median)
         )),
         Georeference::Local if plan.stages.settings.frame.gps => {
-            plan::unused(project, &plan.stages.scene)
+            plan::unused_positions_of(project, &plan.stages.scene)
         }
         _ => None,
     }

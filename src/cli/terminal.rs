@@ -133,7 +133,7 @@ pub fn advise(heading: &'static str, style: Style, words: &str) {
     }
 }
 
-/// Width of the terminal that stdout is; `None` where it is none.
+/// Width of the terminal that stdout goes to, columns; `None` without one.
 #[expect(clippy::disallowed_methods, reason = "nothing is written")]
 fn terminal_columns() -> Option<usize> {
     let (width, _) = terminal_size::terminal_size_of(std::io::stdout())?;

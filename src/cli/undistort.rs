@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::{
-    apps::undistort::{self, UndistortOptions, UndistortReport, default_workspace},
+    apps::undistort::{self, UndistortOptions, UndistortReport},
     base::shell::command_path,
     config::CommandLineSettings,
     io::project::Project,
@@ -95,7 +95,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let out = arguments
         .out
         .clone()
-        .unwrap_or_else(|| default_workspace(&project));
+        .unwrap_or_else(|| project.place_of_undistorted());
     let done = undistorted(&project, &arguments.options(), &out, arguments.quiet)?;
     match arguments.format {
         Format::Json => print_json(&done),

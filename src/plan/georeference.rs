@@ -74,11 +74,11 @@ pub fn unused_positions(project: &Project, settings: &Settings) -> Option<String
     let project = project.clone().with_images(settings.images.as_deref());
     let scene = project.read_scene().ok()?;
     let is_unplaced = georeference(&project, &scene, &settings.frame) == Georeference::Local;
-    (settings.frame.gps && is_unplaced).then(|| unused(&project, &scene))?
+    (settings.frame.gps && is_unplaced).then(|| unused_positions_of(&project, &scene))?
 }
 
 /// Says that the positions in the images of a model without a place on earth are not used.
-pub fn unused(project: &Project, scene: &Scene) -> Option<String> {
+pub fn unused_positions_of(project: &Project, scene: &Scene) -> Option<String> {
     let positions = positions_in_images(project, scene).1.len();
     (positions > 1).then(|| {
         format!(

@@ -28,7 +28,7 @@ pub use empty::EmptyPlan;
 pub use error::PlanError;
 pub use finished::{FinishedMaps, MOST_VIEWS, OutdatedMap, PlannedView, PlannedViews};
 pub use georeference::{
-    georeference, metres_per_unit, positions_in_images, unused, unused_positions,
+    georeference, metres_per_unit, positions_in_images, unused_positions, unused_positions_of,
 };
 pub use inputs::metres;
 pub use memory::Memory;

@@ -248,12 +248,9 @@ impl PictureFolders {
     /// Returns the folder of the first mask that one of these views has.
     pub fn masks_of<'a>(&self, mut names: impl Iterator<Item = &'a str>) -> Option<PathBuf> {
         let mask = names.find_map(|name| self.mask_file(name))?;
-        let folder = self.masks.iter().find(|folder| mask.starts_with(folder));
-        Some(
-            folder
-                .map_or(mask.parent()?, PathBuf::as_path)
-                .to_path_buf(),
-        )
+        let mut folders = self.masks.iter().map(PathBuf::as_path);
+        let folder = folders.find(|folder| mask.starts_with(folder));
+        Some(folder.or(mask.parent())?.to_path_buf())
     }
 
     /// Returns the file of a view's mask. A pipe or a device is found, too, so that reading it says

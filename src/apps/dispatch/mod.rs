@@ -23,8 +23,8 @@ use tempfile::TempDir;
 
 use crate::{
     backends::{
-        self, BACKENDS, Backend, BackendError, Export, Selection, TaskProgram, TaskRunner, hash,
-        task_ids, task_marker,
+        self, BACKENDS, Backend, BackendError, Export, Selection, TaskProgram, TaskRunner, Tasks,
+        hash, task_ids, task_marker,
     },
     base::{
         error::{Advice, Hint},
@@ -93,7 +93,7 @@ pub struct Tools {
 }
 
 impl Tools {
-    /// Resolves the program: the one given, else the one in the runner's variable, else the one
+    /// Resolves the program: the one given, else the one in its variable, else the one
     /// that comes with the export, else the one on the PATH. Python: `PYTHON`, else `python3`.
     pub fn find(dispatch: &Dispatch, named: Option<&Path>) -> Result<Self, DispatchError> {
         let TaskProgram { name, variable } = dispatch.program;
@@ -180,8 +180,10 @@ impl Dispatch {
     ) -> Result<Self, DispatchError> {
         let selection = &backend.at_its_size(selection);
         let project = absolute(&selection.project.home);
-        let tasks = backend.task_program.zip((backend.tasks)(selection, export));
-        let (program, runner) = tasks.ok_or(DispatchError::NoTasks(backend.name))?;
+        let Some(Tasks { program, runner }) = backend.tasks else {
+            return Err(DispatchError::NoTasks(backend.name));
+        };
+        let runner = runner(selection, export);
         let task = |(i, cluster): (usize, &RankedCluster)| {
             let map = runner.maps[i].clone()?;
             let key = selection.scene.name(cluster.key);

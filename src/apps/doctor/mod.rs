@@ -293,7 +293,7 @@ fn distorted(inputs: &Inputs) -> Option<Finding> {
         .collect();
     let (root, own) = (
         inputs.project.as_argument(),
-        command_path(&inputs.project.root.join("dense")),
+        command_path(&inputs.project.place_of_undistorted()),
     );
     let cure = match inputs.project.undistorted_workspace() {
         Some(dense) => format!("viewrank plan {}", command_path(&dense)),

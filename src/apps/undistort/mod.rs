@@ -34,7 +34,10 @@ use crate::{
         },
         output::{self, Contents, Disk, FileSet, OutputError},
         pictures::PictureFolders,
-        project::{ImageFolder, Project, ProjectError, WORKSPACES, undistorted_set},
+        project::{
+            ImageFolder, Project, ProjectError, UNDISTORTED_SET, has_model_of_others,
+            undistorted_set,
+        },
     },
     model::{
         camera::Camera,
@@ -103,25 +106,6 @@ impl UndistortReport {
 
 /// Pixels per batch; up to about twelve bytes of memory each.
 const BATCH_PIXELS: u64 = 100_000_000;
-/// Name of the file set that holds the model.
-const SET: &str = "undistorted";
-
-/// The folder for the undistorted images of a project where none is named: `dense`, or another if
-/// somebody else's model is in that.
-pub fn default_workspace(project: &Project) -> PathBuf {
-    let [dense, other] = WORKSPACES.map(|name| project.home.join(name));
-    if has_model_of_others(&dense) {
-        other
-    } else {
-        dense
-    }
-}
-
-/// Returns whether a workspace has a model that viewrank did not write, whose images and depth maps
-/// would be mixed with ours.
-fn has_model_of_others(workspace: &Path) -> bool {
-    workspace.join("sparse").is_dir() && output::recorded(workspace, SET).is_empty()
-}
 
 /// Writes the undistorted images and the model of the project to a dense workspace.
 pub fn undistort(
@@ -153,7 +137,7 @@ pub fn undistort(
         let note = job.note(views, watcher)?;
         if !job.is_there(i, views, &note) {
             // Removes the model first: next to images of other sizes, it would be taken for valid.
-            FileSet::new(out, SET).write(disk)?;
+            FileSet::new(out, UNDISTORTED_SET).write(disk)?;
             done.kept
                 .extend(job.batch(i, views, note, watcher)?.write(disk)?.kept);
             done.computed += views.iter().filter(|v| !job.stays(**v)).count();
@@ -420,7 +404,7 @@ impl<'a> Undistortion<'a> {
     /// Returns all files but the images: the model, folders for depth maps, and COLMAP's own lists
     /// of all images, which a plan replaces.
     fn workspace(&self) -> Result<FileSet, UndistortError> {
-        let mut files = FileSet::new(self.out, SET);
+        let mut files = FileSet::new(self.out, UNDISTORTED_SET);
         for (name, bytes) in self.model()? {
             files.add(format!("sparse/{name}"), Contents::Bytes(bytes));
         }

@@ -16,7 +16,7 @@ use self::{
 };
 use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, LastRun,
-    PATCH_MATCH, Selection, TaskProgram, TaskRunner,
+    PATCH_MATCH, Selection, TaskProgram, TaskRunner, Tasks,
     clusters::{map_script, task_ids},
     runner::is_not_empty,
     selection,
@@ -49,11 +49,13 @@ pub static BACKEND: Backend = Backend {
     planning: PATCH_MATCH,
     // `--downscale` is 2 by default.
     own_scale: |_| 0.5,
-    task_program: Some(TaskProgram {
-        name: "aliceVision_depthMapEstimation",
-        variable: "ALICEVISION",
+    tasks: Some(Tasks {
+        program: TaskProgram {
+            name: "aliceVision_depthMapEstimation",
+            variable: "ALICEVISION",
+        },
+        runner: tasks,
     }),
-    tasks: |selection, export| Some(tasks(selection, export)),
     export,
     ..Backend::DEFAULT
 };

@@ -31,7 +31,7 @@ use self::{
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
     Honours, LastRun, PATCH_MATCH, PlanningNumbers, References, Selection, TaskProgram, TaskRunner,
-    Trap,
+    Tasks, Trap,
     clusters::task_ids,
     record::{at_full_size, capped_scale},
     selection,
@@ -102,18 +102,20 @@ pub static BACKEND: Backend = Backend {
         let is_itself = project.kind == ProjectKind::ColmapDense;
         is_itself || project.undistorted_workspace().is_some()
     },
-    task_program: Some(TaskProgram {
-        name: "colmap",
-        variable: "COLMAP",
+    tasks: Some(Tasks {
+        program: TaskProgram {
+            name: "colmap",
+            variable: "COLMAP",
+        },
+        runner: tasks,
     }),
-    tasks,
     known_maps: marks::known,
     traps,
     export,
     ..Backend::DEFAULT
 };
 
-fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
+fn tasks(selection: &Selection, export: &Export) -> TaskRunner {
     let workspace = selection.project.dense_workspace.as_deref();
     let workspace = workspace.filter(|workspace| *workspace == export.files.root);
     let names = ListedNames::new(selection, workspace);
@@ -128,7 +130,7 @@ fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
         let path = format!("stereo/depth_maps/{}", map_name(name, "photometric"));
         made.contains(name).then(|| export.files.root.join(path))
     };
-    Some(TaskRunner {
+    TaskRunner {
         takes_python: false,
         commands: run::commands,
         is_whole: run::is_whole,
@@ -138,7 +140,7 @@ fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
         clouds: vec![export.files.root.join(FUSED)],
         sizes_share_a_file: true,
         maps: selection.clusters.iter().map(map).collect(),
-    })
+    }
 }
 
 fn traps(examined: &ExaminedProject) -> Vec<Trap> {

@@ -13,7 +13,8 @@ mod run;
 use self::run::{RUN, Row, Run};
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
-    Honours, LastRun, PATCH_MATCH, PlanningNumbers, Selection, TaskProgram, TaskRunner, Trap,
+    Honours, LastRun, PATCH_MATCH, PlanningNumbers, Selection, TaskProgram, TaskRunner, Tasks,
+    Trap,
     clusters::{map_script, task_ids},
     selection,
     strangers::name_links_in_scripts,
@@ -64,11 +65,13 @@ pub static BACKEND: Backend = Backend {
     },
     own_scale,
     mixes_sizes: true,
-    task_program: Some(TaskProgram {
-        name: "dmrecon",
-        variable: "DMRECON",
+    tasks: Some(Tasks {
+        program: TaskProgram {
+            name: "dmrecon",
+            variable: "DMRECON",
+        },
+        runner: tasks,
     }),
-    tasks: |selection, export| Some(tasks(selection, export)),
     traps,
     export,
     ..Backend::DEFAULT

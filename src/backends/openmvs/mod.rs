@@ -15,7 +15,7 @@ use self::{
 };
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
-    Honours, LastRun, PlanningNumbers, Selection, TaskProgram, TaskRunner, Trap,
+    Honours, LastRun, PlanningNumbers, Selection, TaskProgram, TaskRunner, Tasks, Trap,
     clusters::task_ids, record::capped_scale, selection, strangers::name_links_in_scripts,
 };
 use crate::{
@@ -110,25 +110,27 @@ pub static BACKEND: Backend = Backend {
     own_scale,
     mixes_sizes: true,
     serves: |project| project.kind == ProjectKind::OpenMvs,
-    task_program: Some(TaskProgram {
-        name: "DensifyPointCloud",
-        variable: "DENSIFY",
+    tasks: Some(Tasks {
+        program: TaskProgram {
+            name: "DensifyPointCloud",
+            variable: "DENSIFY",
+        },
+        runner: tasks,
     }),
-    tasks,
     traps,
     export,
     unread: &["webp", "jp2"],
     ..Backend::DEFAULT
 };
 
-fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
+fn tasks(selection: &Selection, export: &Export) -> TaskRunner {
     let map = |c: &RankedCluster| {
         Some(export.files.root.join(format!(
             "depth{:04}.dmap",
             selection.scene.view(c.key).image_id
         )))
     };
-    Some(TaskRunner {
+    TaskRunner {
         takes_python: false,
         commands: run::commands,
         is_whole: WholeMap::is_there,
@@ -138,7 +140,7 @@ fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
         clouds: vec![export.files.root.join("fused.ply")],
         sizes_share_a_file: true,
         maps: selection.clusters.iter().map(map).collect(),
-    })
+    }
 }
 
 /// Finds coordinates too large for the f32 points and cameras of a scene.mvs.

@@ -112,8 +112,7 @@ pub static PATCHMATCHNET: Backend = Backend {
         ..PATCH_MATCH
     },
     mixes_sizes: true,
-    task_program: Some(run::PROGRAM),
-    tasks: |selection, export| Some(run::tasks(selection, export)),
+    tasks: Some(run::TASKS),
     export: |selection, options| PATCHMATCHNET_DIALECT.export(selection, options),
     ..MVSNET
 };

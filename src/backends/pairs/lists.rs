@@ -1,6 +1,6 @@
 //! The lists of partners, and of maps that fusion compares.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use serde::{Deserialize, Serialize};
 
@@ -42,6 +42,10 @@ pub(super) struct Lists<'a> {
     /// Number of each view in the files: its image id, the same in each plan, so that old maps keep
     /// their images; its position for programs that demand it.
     pub numbers: Vec<u32>,
+    /// Width and height of the picture of each view, which may not be those of its camera, pixels.
+    pub sizes: Vec<[u32; 2]>,
+    /// Longest side of all pictures, pixels.
+    pub longest: u32,
     pub points: ViewPoints,
     /// Partners of each view that gets a map, key views first.
     pub rows: Vec<Vec<(u32, u32)>>,
@@ -73,6 +77,18 @@ impl SharedPoints<'_> {
         others.sort_by_key(|v| std::cmp::Reverse(shared(v)));
         self.row(others.into_iter().take(most))
     }
+}
+
+/// Width and height of the pictures of views, pixels.
+fn picture_sizes(selection: &Selection, views: &[ViewIndex]) -> Vec<[u32; 2]> {
+    let other_size = selection.image_faults.other_size.iter().copied();
+    let others: BTreeMap<ViewIndex, [u32; 2]> = other_size.collect();
+    let size = |view: &ViewIndex| {
+        let camera = selection.scene.camera_of(*view);
+        let other = others.get(view);
+        other.map_or([camera.width, camera.height], |size| *size)
+    };
+    views.iter().map(size).collect()
 }
 
 /// Keeps those of a list with which the map of the key view at `position` is fused.
@@ -120,8 +136,11 @@ impl<'a> Lists<'a> {
                 scene.view(*v).image_id
             }
         };
+        let sizes = picture_sizes(selection, views);
         Self {
             views,
+            longest: sizes.iter().copied().flatten().max().unwrap_or(0),
+            sizes,
             numbers: (0..).zip(views).map(number).collect(),
             points,
             rows,

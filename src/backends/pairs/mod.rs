@@ -8,7 +8,7 @@ use self::{
     dialects::{DepthLine, Dialect},
     lists::Lists,
     run::Run,
-    sizes::{Words, at_another_size, stored_size},
+    sizes::{Words, at_another_size},
 };
 use super::{
     BackendError, Export, ExportOptions, ExportRecord, PATCH_MATCH, Selection, selection,
@@ -19,7 +19,7 @@ use crate::{
     io::output::{Contents, FileSet},
     model::{
         cluster::{MapScale, RankedCluster},
-        scene::{ViewIndex, ViewPoints},
+        scene::ViewIndex,
     },
 };
 
@@ -38,7 +38,7 @@ const AGREEING: u32 = PATCH_MATCH.support - 1;
 /// Largest number of partners of ACMH, ACMM, ACMP and ACMMP, which use a 32-bit mask.
 const ACM_PARTNERS: usize = 32;
 
-/// What `run.sh` runs.
+/// The commands of `run.sh`.
 struct Commands {
     /// One for the maps of each size.
     depth: Vec<String>,
@@ -52,9 +52,8 @@ impl Dialect {
         selection: &Selection,
         options: &ExportOptions,
     ) -> Result<Export, BackendError> {
-        // Ids of tasks are of the plan, not of a scene that was moved.
-        let ids = run::ids(selection);
-        let near = selection.near_origin();
+        let planned = selection;
+        let near = planned.near_origin();
         let selection = &near.selection();
         let views = selection.keys_first();
         let lists = Lists::new(self, selection, &views);
@@ -77,13 +76,15 @@ impl Dialect {
         let mut record = self.record(selection, &lists, &commands);
         record.moved(near.origin);
         if self.fusion.is_some() {
-            for folder in run::FOLDERS {
+            for folder in run::folders() {
                 files.add(folder, Contents::Folder);
             }
             if commands.fusion.is_some() {
                 files.add_text("fuse/pair.txt", lists.pairs_to_fuse());
                 self.add_views(&mut files, "fuse/", selection, &lists, &all[..keys])?;
             }
+            // Of the plan, not of a scene that was moved.
+            let ids = run::ids(planned);
             let run = Run::new(selection, &lists, ids, self.fused_at(selection));
             files.add_script("run.sh", run.script(selection, &commands));
             files.add_text(run::RUN, to_json(&run));
@@ -166,7 +167,7 @@ impl Dialect {
             let (i, view) = (lists.numbers[at], lists.views[at]);
             files.add_text(
                 format!("{folder}cams/{i:08}_cam.txt"),
-                self.camera(selection, &lists.points, view)?,
+                self.camera(selection, lists, at)?,
             );
             files.add(
                 format!("{folder}images/{i:08}.jpg"),
@@ -181,10 +182,10 @@ impl Dialect {
     fn camera(
         &self,
         selection: &Selection,
-        points: &ViewPoints,
-        view: ViewIndex,
+        lists: &Lists,
+        at: usize,
     ) -> Result<String, BackendError> {
-        let scene = selection.scene;
+        let (scene, view) = (selection.scene, lists.views[at]);
         let pose = &scene.view(view).cam_from_world;
         let row = |i: usize| {
             let r = pose.rotation.matrix().row(i);
@@ -192,10 +193,10 @@ impl Dialect {
         };
         let camera = scene.camera_of(view);
         let (f, c) = camera.pinhole_part();
-        // Of the picture as it is stored, which may be smaller than that of the camera.
-        let [x, y] = stored_size(selection, view).map(f64::from);
+        // Of the picture as it is stored.
+        let [x, y] = lists.sizes[at].map(f64::from);
         let [x, y] = [x / f64::from(camera.width), y / f64::from(camera.height)];
-        let range = selection::depth_range(self.backend.name, scene, points, view)?;
+        let range = selection::depth_range(self.backend.name, scene, &lists.points, view)?;
         let depths = self.depth_line(range);
         Ok(format!(
             "extrinsic\n{}{}{}0 0 0 1\n\nintrinsic\n{} 0 {}\n0 {} {}\n0 0 1\n\n{depths}\n",

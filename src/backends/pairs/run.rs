@@ -13,11 +13,11 @@ use serde::{Deserialize, Serialize};
 use super::{
     AGREEING, Commands, PATCHMATCHNET,
     lists::{Entry, Lists, pair_file},
-    sizes::{limit, reduced, stored_size},
+    sizes::{limit, reduced},
 };
 use crate::{
     backends::{
-        Call, Export, Product, Selection, TaskProgram, TaskRunner,
+        Call, Export, Product, Selection, TaskProgram, TaskRunner, Tasks,
         clusters::{task_ids, task_marker},
         runner::{refuse_other_shape, refuse_unfit, text, words},
         selection::FUSED_WITH,
@@ -33,15 +33,17 @@ use crate::{
 };
 
 pub const RUN: &str = "run.json";
-pub const PROGRAM: TaskProgram = TaskProgram {
-    name: "eval.py",
-    variable: "PATCHMATCHNET",
+pub const TASKS: Tasks = Tasks {
+    program: TaskProgram {
+        name: "eval.py",
+        variable: "PATCHMATCHNET",
+    },
+    runner: tasks,
 };
 const CLOUD: &str = "depths/fused.ply";
-/// What `eval.py` makes of a view. The depth map is moved last, since it says that all is there.
+/// Folders of the files that `eval.py` writes for a view. The depth map comes last: once it is in
+/// place, all is.
 const KINDS: [&str; 2] = ["confidence", "depth_est"];
-/// Where these are.
-pub const FOLDERS: [&str; 2] = ["depths/confidence", "depths/depth_est"];
 /// Weights that come with the program, beside `eval.py`.
 const CHECKPOINT: &str = "checkpoints/params_000007.ckpt";
 
@@ -71,14 +73,19 @@ struct Row {
     fused_size: [u32; 2],
 }
 
-/// What a script says in place of joining maps.
+/// Last line of a script that cannot join the maps.
 const TWO_SIZES: &str = "say 'The maps have two sizes: viewrank run PROJECT --fuse joins them.'";
+
+/// Folders of the finished maps and their confidences.
+pub fn folders() -> [String; 2] {
+    KINDS.map(|kind| format!("depths/{kind}"))
+}
 
 fn file_of(kind: &str, key: u32) -> String {
     format!("depths/{kind}/{key:08}.pfm")
 }
 
-pub fn tasks(selection: &Selection, export: &Export) -> TaskRunner {
+fn tasks(selection: &Selection, export: &Export) -> TaskRunner {
     let root = &export.files.root;
     let key = |cluster: &RankedCluster| selection.scene.view(cluster.key).image_id;
     let map = |cluster| Some(root.join(file_of("depth_est", key(cluster))));
@@ -121,17 +128,14 @@ impl Run {
         fused_at: MapScale,
     ) -> Self {
         let limit = |scale| limit(selection, lists, scale);
-        let row = |((i, cluster), id): ((usize, &RankedCluster), String)| {
-            let stored = stored_size(selection, cluster.key);
-            Row {
-                rank: i + 1,
-                id,
-                partners: lists.partners(i),
-                compared: lists.compared(i),
-                longest: limit(cluster.scale),
-                size: reduced(stored, limit(cluster.scale)),
-                fused_size: reduced(stored, limit(fused_at)),
-            }
+        let row = |((i, cluster), id): ((usize, &RankedCluster), String)| Row {
+            rank: i + 1,
+            id,
+            partners: lists.partners(i),
+            compared: lists.compared(i),
+            longest: limit(cluster.scale),
+            size: reduced(lists.sizes[i], limit(cluster.scale)),
+            fused_size: reduced(lists.sizes[i], limit(fused_at)),
         };
         Self {
             fused_at: limit(fused_at),

@@ -3,21 +3,8 @@
 use super::{AGREEING, lists::Lists};
 use crate::{
     backends::Selection,
-    model::{
-        cluster::{MapScale, RankedCluster},
-        scene::ViewIndex,
-    },
+    model::cluster::{MapScale, RankedCluster},
 };
-
-/// Width and height of the picture of a view, which may be smaller than that of its camera, pixels.
-pub(super) fn stored_size(selection: &Selection, view: ViewIndex) -> [u32; 2] {
-    let mut smaller = selection.image_faults.other_size.iter();
-    let camera = selection.scene.camera_of(view);
-    match smaller.find(|(other, _)| *other == view) {
-        Some((_, size)) => *size,
-        None => [camera.width, camera.height],
-    }
-}
 
 /// Returns width and height of a picture of which PatchmatchNet makes the longest side at most
 /// `longest`; it rounds down.
@@ -31,7 +18,7 @@ pub(super) fn reduced(size: [u32; 2], longest: Option<u32>) -> [u32; 2] {
 /// `None` at their own.
 pub(super) fn limit(selection: &Selection, lists: &Lists, scale: MapScale) -> Option<u32> {
     let scale = matched_scale(selection, scale);
-    (scale < 1.0).then(|| longest(selection, lists, scale))
+    (scale < 1.0).then(|| longest(lists, scale))
 }
 
 /// Matched size as a part of the image's.
@@ -48,8 +35,7 @@ pub(super) fn at_another_size(selection: &Selection, lists: &Lists) -> Option<St
             matched_scale(selection, cluster.scale),
         );
         let side = camera.width.max(camera.height);
-        scale < 1.0
-            && longest(selection, lists, scale).min(side) != (f64::from(side) * scale) as u32
+        scale < 1.0 && longest(lists, scale).min(side) != (f64::from(side) * scale) as u32
     };
     let other = selection.clusters.iter().filter(is_other).count();
     (other > 0).then(|| {
@@ -59,10 +45,8 @@ pub(super) fn at_another_size(selection: &Selection, lists: &Lists) -> Option<St
 }
 
 /// Returns the longest side of a picture that is matched at this size, pixels.
-fn longest(selection: &Selection, lists: &Lists, scale: f64) -> u32 {
-    let sizes = lists.views.iter().map(|&view| stored_size(selection, view));
-    let longest = sizes.flatten().max().unwrap_or(0);
-    (f64::from(longest) * scale) as u32
+fn longest(lists: &Lists, scale: f64) -> u32 {
+    (f64::from(lists.longest) * scale) as u32
 }
 
 /// The words of commands with their values.
@@ -73,8 +57,7 @@ impl Words {
         let size = matched_scale(selection, scale);
         // No picture is smaller.
         let least = |axis: usize| {
-            let sides = lists.views.iter();
-            let sides = sides.map(|&view| stored_size(selection, view)[axis]);
+            let sides = lists.sizes.iter().map(|size| size[axis]);
             ((f64::from(sides.min().unwrap_or(0)) * size) as u32).to_string()
         };
         let most = selection.most_partners();

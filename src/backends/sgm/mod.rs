@@ -10,7 +10,7 @@ use nalgebra::Vector3;
 use super::{
     Backend, BackendError, Call, Capabilities, ExaminedProject, Export, ExportOptions,
     ExportRecord, Honours, LastRun, PlanningNumbers, Product, Selection, TaskProgram, TaskRunner,
-    Trap,
+    Tasks, Trap,
     error::check_length,
     runner::{finishes_itself, is_not_empty, words},
     semi_global::{self, CONFIDENCE, PHOTOMETRIC},
@@ -98,11 +98,13 @@ pub static BACKEND: Backend = Backend {
     unread: &["webp", "bmp", "ppm", "pgm", "jp2"],
     takes_masks: true,
     mixes_sizes: true,
-    task_program: Some(TaskProgram {
-        name: "sgm.py",
-        variable: "SGM",
+    tasks: Some(Tasks {
+        program: TaskProgram {
+            name: "sgm.py",
+            variable: "SGM",
+        },
+        runner: tasks,
     }),
-    tasks,
     traps,
     export,
     ..Backend::DEFAULT
@@ -121,12 +123,12 @@ fn check_name(name: &str) -> Result<(), BackendError> {
     semi_global::checked_name(BACKEND.name, name).map(|_| ())
 }
 
-fn tasks(selection: &Selection, _: &Export) -> Option<TaskRunner> {
+fn tasks(selection: &Selection, _: &Export) -> TaskRunner {
     let out = selection.project.home.join("sgm");
     let map = |c: &RankedCluster| {
         Some(out.join(format!("depth_maps/{}.npy", selection.scene.name(c.key))))
     };
-    Some(TaskRunner {
+    TaskRunner {
         takes_python: true,
         commands,
         is_whole: is_not_empty,
@@ -136,7 +138,7 @@ fn tasks(selection: &Selection, _: &Export) -> Option<TaskRunner> {
         clouds: vec![out.join("fused.ply")],
         sizes_share_a_file: true,
         maps: selection.clusters.iter().map(map).collect(),
-    })
+    }
 }
 
 fn commands(call: &Call) -> Result<Vec<Vec<OsString>>, String> {

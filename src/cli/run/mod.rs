@@ -20,11 +20,7 @@ use super::{
     undistort::undistorted,
 };
 use crate::{
-    apps::{
-        dispatch::Dispatch,
-        planning,
-        undistort::{UndistortOptions, default_workspace},
-    },
+    apps::{dispatch::Dispatch, planning, undistort::UndistortOptions},
     backends::{self, Backend, Choice, Product},
     base::{platform, shell::command_path},
     config::{Budget, CommandLineSettings, Settings, TypedSetting},
@@ -342,7 +338,7 @@ fn undistorted_project(
     project: Project,
     backend: &Backend,
 ) -> Result<PathBuf, Failure> {
-    let dense = default_workspace(&project);
+    let dense = project.place_of_undistorted();
     if let Ok(earlier) = Project::open(&dense, None) {
         Dispatch::refuse_if_at_work(&earlier)?;
     }

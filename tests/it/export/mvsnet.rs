@@ -287,6 +287,23 @@ fn patchmatchnet_reduces_small_images_less() {
     );
 }
 
+#[test]
+fn cameras_are_those_of_the_pictures_that_are_there() {
+    let mut fixture = Fixture::new(3);
+    let of = |fixture: &Fixture| {
+        let net = fixture.export("patchmatchnet");
+        let (_, intrinsic, _) = camera(first_camera(&net));
+        (intrinsic, rows(&net)[0]["size"].clone())
+    };
+    let (whole, _) = of(&fixture);
+    let views = fixture.scene.view_indices();
+    fixture.image_faults.other_size = views.map(|view| (view, [320, 240])).collect();
+    let (reduced, size) = of(&fixture);
+    assert_eq!(size, serde_json::json!([320, 240]), "of 640 x 480");
+    let halved: Vec<f64> = whole[..6].iter().map(|x| x / 2.0).collect();
+    assert_eq!((&reduced[..6], reduced[8]), (&halved[..], 1.0));
+}
+
 /// The camera file of the first key view.
 pub fn first_camera(files: &Files) -> &str {
     let number: usize = files.0.record.clusters[0].key.target.parse().unwrap();

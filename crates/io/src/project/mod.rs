@@ -42,7 +42,7 @@ use crate::{
         foreign::ForeignModel,
         name_parts,
     },
-    output::Disk,
+    output::{self, Disk},
     paths,
     shell::{command_path, command_word, shown_path},
 };
@@ -199,9 +199,12 @@ pub struct Project {
 /// network file systems make up anew each time.
 pub type FileStamp = Option<(u64, Option<SystemTime>)>;
 
+/// Name of the file set with the model of undistorted images; those of their batches begin with it.
+pub const UNDISTORTED_SET: &str = "undistorted";
+
 /// Name of the file set of a batch of undistorted images, from 1.
 pub fn undistorted_set(batch: usize) -> String {
-    format!("undistorted-{batch:04}")
+    format!("{UNDISTORTED_SET}-{batch:04}")
 }
 
 impl Project {
@@ -349,6 +352,17 @@ impl Project {
                 .join(format!("viewrank/{}.json", undistorted_set(1)))
                 .is_file()
         })
+    }
+
+    /// The folder for the undistorted images where none is named: `dense`, or another if somebody
+    /// else's model is in that.
+    pub fn place_of_undistorted(&self) -> PathBuf {
+        let [dense, other] = WORKSPACES.map(|name| self.home.join(name));
+        if has_model_of_others(&dense) {
+            other
+        } else {
+            dense
+        }
     }
 
     /// viewrank's output folder: `home/viewrank`.
@@ -623,6 +637,12 @@ impl Project {
             )
         })
     }
+}
+
+/// Returns whether a workspace has a model that viewrank did not write, whose images and depth maps
+/// would be mixed with ours.
+pub fn has_model_of_others(workspace: &Path) -> bool {
+    workspace.join("sparse").is_dir() && output::recorded(workspace, UNDISTORTED_SET).is_empty()
 }
 
 fn passed_over(used: &Path, there: &[PathBuf]) -> Option<String> {
