@@ -20,6 +20,9 @@ pub enum EmptyPlan {
         views: usize,
         cure: Option<Advice>,
     },
+    /// The model has fewer images than must show each place.
+    #[error("the model has {views} images, and each place needs {cameras} that show it")]
+    FewImages { views: usize, cameras: u32 },
     /// The limits of the cut exclude every ranked cluster.
     #[error("the limits exclude all {ranked} view clusters: {limits}")]
     Allowed { ranked: usize, limits: String },
@@ -40,6 +43,11 @@ impl EmptyPlan {
     }
 
     fn nothing_fulfilled(plan: &Plan) -> Self {
+        let views = plan.decision.views.len();
+        let cameras = plan.stages.settings.coverage.min_cameras;
+        if views < cameras as usize {
+            return Self::FewImages { views, cameras };
+        }
         let mut counts = BTreeMap::new();
         plan.decision
             .views
@@ -57,7 +65,7 @@ impl EmptyPlan {
         Self::Fulfilled {
             reason,
             of,
-            views: plan.decision.views.len(),
+            views,
             cure,
         }
     }
@@ -128,6 +136,9 @@ impl Hint for EmptyPlan {
                 .and("; check the masks and ")
                 .set("confidence.source")
                 .and(", too"),
+            Self::FewImages { .. } => {
+                "add photographs of the same places from other positions to the model".into()
+            }
             Self::Allowed { .. } => "raise the limit".into(),
         })
     }

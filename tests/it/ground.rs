@@ -397,3 +397,46 @@ fn lengths_are_metres_where_the_model_has_a_place_on_earth() {
     let (_, inspected, _) = said(&viewrank(&["inspect", path]));
     assert!(inspected.contains("metres"), "{inspected}");
 }
+
+#[test]
+fn a_project_that_was_moved_keeps_the_region_in_it() {
+    let folder = georeferenced();
+    let region = site(&folder, [-10.0, -10.0, 10.0, 10.0]);
+    folder.plan(&["--region", &region, "--backend", "sgm"]);
+    let home = Folder::new();
+    let moved = home.at("moved");
+    fs::rename(folder.path(), &moved).unwrap();
+    let plan = ["plan", moved.to_str().unwrap(), "--backend", "sgm"];
+    let (code, again, stderr) = said(&viewrank(&plan));
+    assert_eq!(code, 0, "{stderr}");
+    let again = again.split_whitespace().collect::<Vec<_>>().join(" ");
+    let place = format!("--region {}", moved.join("site.geojson").display());
+    assert!(again.contains(&place), "{again}");
+}
+
+#[test]
+fn a_box_in_degrees_is_told_what_boxes_are() {
+    let folder = georeferenced();
+    let degrees = "20.9995,51.9995,0,21.0005,52.0005,50";
+    let (code, _, stderr) = folder.plan(&["--region", degrees, "--backend", "sgm"]);
+    let stderr = stderr.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(
+        code != 0 && stderr.contains("GeoJSON") && stderr.contains("look like longitude"),
+        "{stderr}"
+    );
+    assert!(!folder.at("viewrank/missed-region").exists());
+}
+
+#[test]
+fn a_region_that_is_too_large_for_a_map_says_what_it_holds() {
+    let folder = georeferenced();
+    let ring = [[-180, -90], [180, -90], [180, 90], [-180, 90], [-180, -90]];
+    let earth = json!({ "type": "Polygon", "coordinates": [ring] });
+    folder.write("earth.geojson", earth.to_string());
+    let region = folder.at("earth.geojson");
+    let (_, stdout, _) = folder.plan(&["--region", region.to_str().unwrap(), "--backend", "sgm"]);
+    assert!(
+        stdout.contains("100.0 % of the surface is inside"),
+        "{stdout}"
+    );
+}

@@ -77,7 +77,7 @@ def test_missing_images_are_the_cure_only_where_they_are_the_cause(viewrank, fix
         image.unlink()
     most = found(4)
     assert most["missing-images"]["severity"] == "error"
-    assert "of 3 views with a usable image cannot be key views" in most["too-few-partners"]["what"]
+    assert "of 3 views with a usable image have fewer than" in most["too-few-partners"]["what"]
     assert "replace the images that are missing" in most["too-few-partners"]["cure"]
 
 

@@ -151,7 +151,7 @@ impl PartnerCount {
     }
 }
 
-/// Reports views that cannot be key views; the severity depends on their share, and on the share of
+/// Reports views that can be key views only with partners beyond the gate, if at all; the severity depends on their share, and on the share of
 /// points that no other view sees.
 fn too_few(inputs: &Inputs, counts: &[&PartnerCount]) -> Option<Finding> {
     let least = least(inputs);
@@ -187,7 +187,7 @@ fn too_few(inputs: &Inputs, counts: &[&PartnerCount]) -> Option<Finding> {
     };
     (!few.is_empty()).then(|| {
         let what = format!(
-            "{} of {} {} cannot be key views, with fewer than {least} partners that {} can match; {loss}",
+            "{} of {} {} have fewer than {least} partners within the limits of {} (partners.gate); {loss}",
             few.len(),
             counts.len(),
             noun(inputs, counts, counts.len()),

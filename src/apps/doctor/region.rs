@@ -10,7 +10,7 @@ use crate::{
         error::Hint,
         shell::{command_path, command_word},
     },
-    model::georeference::Georeference,
+    model::georeference::{Georeference, SET_PLACE},
     plan::{self, GroundSummary, RegionFileError, photographed_ground, positions_in_images},
     show::manifest::planned_ground,
 };
@@ -115,6 +115,6 @@ fn place_of_region(inputs: &Inputs, place: &Georeference) -> String {
         ),
     };
     format!(
-        "draw it in the coordinates of the model, whose place on earth is not known (set frame.origin or frame.utm){gps}"
+        "draw it in the coordinates of the model, whose place on earth is not known ({SET_PLACE}){gps}"
     )
 }

@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use toml::Value;
 
-use super::{CommandLineSettings, Entry, SettingLocation, path_outside};
+use super::{CommandLineSettings, Entry, PathValue, SettingLocation, path_outside};
 use crate::base::shell::command_word;
 
 /// The options of `viewrank plan` that a run goes on with. Others of a plan, which may be a
@@ -45,7 +45,8 @@ fn option_of(key: &str) -> Option<&'static str> {
 pub struct TypedSetting {
     /// The setting, as `target.gsd`.
     pub key: String,
-    /// The value as it was typed; paths are absolute.
+    /// The value as it was typed; paths are absolute, but those inside the project begin with `./`,
+    /// so that it can be moved.
     #[schemars(with = "serde_json::Value")]
     pub value: Value,
     /// Value in the settings files, which it replaced.
@@ -57,6 +58,27 @@ pub struct TypedSetting {
 impl TypedSetting {
     pub fn is_of_plan(&self) -> bool {
         option_of(&self.key).is_some()
+    }
+
+    /// As it is written for a project, which can be moved with the files in it.
+    pub fn written_in(&self, root: &Path) -> Self {
+        let inside = PathValue::new(&self.key, &self.value)
+            .and_then(|named| Some(named.path.strip_prefix(root).ok()?.to_str()?.to_owned()));
+        self.with(inside.map(|inside| format!("./{inside}")))
+    }
+
+    /// As it was typed, of one that was written for a project.
+    pub fn read_in(&self, root: &Path) -> Self {
+        let inside = PathValue::new(&self.key, &self.value)
+            .and_then(|named| Some(named.path.strip_prefix(".").ok()?.to_owned()));
+        self.with(inside.map(|inside| root.join(inside).to_string_lossy().into_owned()))
+    }
+
+    fn with(&self, path: Option<String>) -> Self {
+        Self {
+            value: path.map_or_else(|| self.value.clone(), Value::from),
+            ..self.clone()
+        }
     }
 
     /// Returns whether it names a file outside of a project that the project's own files, which may

@@ -53,7 +53,7 @@ impl GroundSummary {
     pub fn new(ground: &Ground, has_surface: bool, needed: u32) -> Self {
         let wanted = || ground.cells.iter().map(|cell| cell.gsd);
         Self {
-            area: ground.area(),
+            area: ground.area,
             surface: has_surface.then(|| ground.share(|cell| cell.has_surface)),
             unseen: ground.share(|cell| cell.views == 0),
             too_coarse: ground.share(|cell| cell.too_coarse),

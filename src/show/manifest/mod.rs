@@ -23,7 +23,7 @@ pub use written::{
 
 use crate::{
     backends::ExportRecord,
-    base::printable::to_json,
+    base::{paths::absolute, printable::to_json},
     config::{Settings, TypedSetting},
     io::project::{ImageFaults, Project},
     method::surface::{SurfaceKind, SurfaceStats},
@@ -197,6 +197,7 @@ impl Manifest {
         project: &Project,
         exports: Vec<ExportRecord>,
     ) -> Result<Self, FingerprintError> {
+        let (typed, home) = (plan.stages.settings.typed.iter(), absolute(&project.home));
         Ok(Self {
             version: VERSION,
             tool: concat!("viewrank ", env!("CARGO_PKG_VERSION")).into(),
@@ -204,7 +205,7 @@ impl Manifest {
             units: plan.stages.settings.units.unwrap_or(Units::Relative),
             backend: plan.stages.backend.into(),
             settings: plan.stages.settings.for_plan(),
-            typed: plan.stages.settings.typed.clone(),
+            typed: typed.map(|typed| typed.written_in(&home)).collect(),
             own_size: plan.stages.own_size,
             surface: SurfaceSummary::new(plan),
             region: RegionSummary::from_plan(plan),

@@ -60,14 +60,24 @@ impl RegionSummary {
             RegionKind::Box => format!("the box {corners}"),
             RegionKind::Auto => format!("auto, the box {corners}"),
         };
-        let ground = self
-            .ground
-            .map(|ground| [ground.covered("It", metres), ground.missed(metres)]);
+        let ground = match self.ground {
+            Some(ground) => vec![ground.covered("It", metres), ground.missed(metres)],
+            None if self.kind == RegionKind::Auto => Vec::new(),
+            None => vec![self.undrawn()],
+        };
         [format!("Region: {what}.")]
             .into_iter()
-            .chain(ground.into_iter().flatten())
+            .chain(ground)
             .collect::<Vec<_>>()
             .join("\n")
+    }
+
+    /// Says what is known of a region whose area on the map is not.
+    fn undrawn(&self) -> String {
+        format!(
+            "{:.1} % of the surface is inside. It cannot be drawn on a map around the model, so what photographs miss of it is not counted.",
+            100.0 * self.share_of_area
+        )
     }
 
     /// Says how much of all the region is, in a line.
@@ -96,6 +106,24 @@ fn short(x: f64, bounds: &[f64; 6]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn of_a_region_without_an_area_on_the_map_the_share_of_the_surface_is_said() {
+        let said = |kind| {
+            let summary = RegionSummary {
+                kind,
+                bounds: [0.0, 0.0, 0.0, 1.0, 1.0, 1.0],
+                triangles: 1,
+                area: 1.0,
+                share_of_area: 0.25,
+                share_of_weight: 0.5,
+                ground: None,
+            };
+            summary.describe(None)
+        };
+        assert!(said(RegionKind::Polygons).contains("25.0 % of the surface is inside"));
+        assert!(!said(RegionKind::Auto).contains("surface"));
+    }
 
     #[test]
     fn corners_have_the_digits_that_matter() {

@@ -15,6 +15,7 @@ use crate::{
         bounded::{self, Names},
         error::{Advice, Hint, shortened},
         input::FileKind,
+        paths::absolute,
         shell::command_path,
     },
     config::{Budget, Settings, Share, TypedSetting},
@@ -403,7 +404,10 @@ impl RecordedPlan {
             .map_err(|error| refused(place_and_fault(&error, bytes)))?;
         check(&recorded).map_err(refused)?;
         recorded.typed.retain(TypedSetting::is_of_plan);
-        recorded.settings.typed = mem::take(&mut recorded.typed);
+        // The manifest lies in a folder of the project's own.
+        let home = path.ancestors().nth(2).map_or_else(PathBuf::new, absolute);
+        let typed = mem::take(&mut recorded.typed).into_iter();
+        recorded.settings.typed = typed.map(|typed| typed.read_in(&home)).collect();
         Ok(Self { path, ..recorded })
     }
 

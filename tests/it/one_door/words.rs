@@ -419,3 +419,17 @@ fn sentences_of_a_summary_are_wrapped_and_its_commands_are_not() {
         "{stdout}"
     );
 }
+
+#[test]
+fn fewer_images_than_each_place_needs_are_counted() {
+    let folder = Folder::new();
+    folder
+        .colmap("sparse/0", &ColmapModel::from_scene(&scene()))
+        .pictures(&scene(), |name| format!("images/{name}"))
+        .write("viewrank.toml", "coverage.min_cameras = 10\n");
+    let (code, _, stderr) = folder.plan(&["--backend", "sgm"]);
+    assert!(
+        code != 0 && stderr.contains("the model has 9 images, and each place needs 10"),
+        "{stderr}"
+    );
+}

@@ -107,31 +107,56 @@ fn contents(bytes: &[u8], text: &[u8]) -> Result<RegionFile, RegionFault> {
 /// A map in another format, by its first bytes, with the command of GDAL that converts it.
 fn other_map(bytes: &[u8]) -> Option<Mistaken> {
     let head = &bytes[..bytes.len().min(1024)];
-    let has = |word: &[u8]| head.windows(word.len()).any(|window| window == word);
-    let (what, cure) = if has(b"<kml") {
-        (
-            "KML",
-            "convert it: ogr2ogr -f GeoJSON region.geojson FILE.kml",
-        )
-    } else if head.starts_with(b"PK\x03\x04") && has(b".kml") {
-        (
-            "KMZ",
-            "convert it: ogr2ogr -f GeoJSON region.geojson FILE.kmz",
-        )
-    } else if head.starts_with(b"\0\0\x27\x0a") {
-        (
-            "a shapefile",
-            "convert it: ogr2ogr -f GeoJSON -t_srs EPSG:4326 region.geojson FILE.shp",
-        )
-    } else if head.starts_with(b"SQLite format 3\0") {
-        (
-            "a GeoPackage",
-            "convert it: ogr2ogr -f GeoJSON -t_srs EPSG:4326 region.geojson FILE.gpkg",
-        )
-    } else {
-        return None;
+    let has = |word: &str| {
+        head.windows(word.len())
+            .any(|window| window == word.as_bytes())
     };
-    Some(Mistaken { what, cure })
+    let starts = |start: &[u8]| head.trim_ascii_start().starts_with(start);
+    let section = |line_end: &str| has(&["0", "SECTION", ""].join(line_end));
+    let geometry = ["POLYGON", "MULTIPOLYGON", "SRID=", "polygon", "Polygon"];
+    let kinds = [
+        (has("<kml"), "KML", AS_GEOJSON),
+        (starts(b"PK\x03\x04") && has(".kml"), "KMZ", AS_GEOJSON),
+        (has("<gpx"), "GPX", LINES),
+        (has("opengis.net/gml"), "GML", IN_WGS84),
+        (starts(b"\0\0\x27\x0a"), "a shapefile", IN_WGS84),
+        (starts(b"SQLite format 3\0"), "a GeoPackage", IN_WGS84),
+        (starts(b"fgb\x03"), "FlatGeobuf", IN_WGS84),
+        (
+            starts(b"!table") || starts(b"Version "),
+            "a MapInfo file",
+            IN_WGS84,
+        ),
+        (section("\n") || section("\r\n"), "DXF", DRAWING),
+        (
+            geometry.iter().any(|word| starts(word.as_bytes())),
+            "WKT",
+            TEXT,
+        ),
+        (is_table(head), "a table of numbers", TABLE),
+    ];
+    let of_kind = kinds.into_iter().find(|(is_so, ..)| *is_so);
+    of_kind.map(|(_, what, cure)| Mistaken { what, cure })
+}
+
+const AS_GEOJSON: &str = "convert it: ogr2ogr -f GeoJSON region.geojson FILE";
+const IN_WGS84: &str = "convert it: ogr2ogr -f GeoJSON -t_srs EPSG:4326 region.geojson FILE";
+const LINES: &str = "it has points and lines: draw the polygon in a GIS and save it as GeoJSON";
+const DRAWING: &str = "open it in a GIS and save its polygon as GeoJSON, in WGS 84, or in the model's units with \"crs\": null";
+const TEXT: &str = "put the polygon into a GeoJSON file: a GIS loads WKT and saves GeoJSON";
+const TABLE: &str = "write the corners as a GeoJSON polygon: {\"type\": \"Polygon\", \"coordinates\": [[[x, y], [x, y], ...]]}";
+
+/// Returns whether the second line, which no heading is, has two or more numbers and nothing else.
+fn is_table(head: &[u8]) -> bool {
+    let text = String::from_utf8_lossy(head);
+    let Some(line) = text.lines().nth(1) else {
+        return false;
+    };
+    let words = || {
+        let words = line.split([',', ';', ' ', '\t']);
+        words.filter(|word| !word.is_empty())
+    };
+    words().count() >= 2 && words().all(|word| word.parse::<f64>().is_ok())
 }
 
 /// Reads six finite numbers, separated by commas or blanks; `None` where there are others.
@@ -308,12 +333,44 @@ mod tests {
             (b"PK\x03\x04\x14\0\0\0\x08\0doc.kml", "KMZ"),
             (b"\0\0\x27\x0a\0\0\0\0", "a shapefile"),
             (b"SQLite format 3\0", "a GeoPackage"),
+            (
+                b"<gml:FeatureCollection xmlns:gml=\"http://www.opengis.net/gml\">",
+                "GML",
+            ),
+            (b"fgb\x03fgb\x00", "FlatGeobuf"),
+            (b"Version 300\nCharset \"Neutral\"\n", "a MapInfo file"),
         ] {
             let file = [start, &[0; 5000]].concat();
             assert!(
                 matches!(parse(&file), Err(RegionFault::Mistaken(Mistaken { what, cure }))
                     if what == name && cure.contains("ogr2ogr")),
                 "{name}"
+            );
+        }
+    }
+
+    #[test]
+    fn what_only_a_person_can_convert_is_named_with_what_to_do() {
+        for (file, name, advice) in [
+            ("<?xml version='1.0'?>\n<gpx creator='x'>", "GPX", "draw"),
+            ("  0\r\nSECTION\r\n  2\r\nHEADER\r\n", "DXF", "GIS"),
+            ("POLYGON ((13 52, 14 52, 14 53, 13 52))\n", "WKT", "GIS"),
+            (
+                "x,y\n13.1,52.1\n13.2,52.1\n13.2,52.2\n",
+                "a table of numbers",
+                "corners",
+            ),
+            (
+                "13.1\t52.1\n13.2\t52.1\n13.2\t52.2\n13.1\t52.2\n",
+                "a table of numbers",
+                "corners",
+            ),
+        ] {
+            let fault = parse(file.as_bytes()).unwrap_err();
+            assert!(
+                matches!(fault, RegionFault::Mistaken(Mistaken { what, cure })
+                    if what == name && cure.contains(advice)),
+                "{file}: {fault}"
             );
         }
     }

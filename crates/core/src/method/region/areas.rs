@@ -7,7 +7,7 @@ use super::{
     GroundPlane, Outline, RegionError, RegionProperties, ShapeError, TriangleSamples,
     columns::{Columns, Rectangle},
     in_parts,
-    polygon::PreparedPolygon,
+    polygon::{PreparedPolygon, polygon_area},
     sampled,
 };
 use crate::{
@@ -225,6 +225,18 @@ impl MapAreas {
         };
         let rings = self.rings.iter().flatten();
         rings.map(|ring| ring.iter().map(place).collect()).collect()
+    }
+
+    /// Area of the polygons that count; `rings`: theirs on a map, in their order.
+    pub fn area(&self, rings: &[Vec<[f64; 2]>]) -> f64 {
+        let mut rest = rings;
+        let polygons = self.rings.iter().zip(&self.wishes);
+        let areas = polygons.map(|(polygon, wish)| {
+            let (of_polygon, after) = rest.split_at(polygon.len());
+            rest = after;
+            (wish.weight > 0.0).then(|| polygon_area(of_polygon))
+        });
+        areas.flatten().sum()
     }
 
     pub fn outside(&self, surface: &Surface) -> RegionError {

@@ -1,9 +1,12 @@
 //! Errors of regions.
 
 use super::{columns::Rectangle, solid::OpenMesh};
-use crate::base::{
-    error::{Advice, Hint},
-    progress::Cancelled,
+use crate::{
+    base::{
+        error::{Advice, Hint},
+        progress::Cancelled,
+    },
+    model::georeference::SET_PLACE,
 };
 
 /// A region that cannot be used, whatever the surface.
@@ -24,7 +27,10 @@ impl Hint for ShapeError {
         let hint = match self {
             Self::Open(_) => "close its holes, or give a box x0,y0,z0,x1,y1,z1",
             Self::NoGeoreference => {
-                "set frame.origin or frame.utm, or draw the polygon in model units with \"crs\": null"
+                return Some(
+                    format!("{SET_PLACE}, or draw the polygon in model units with \"crs\": null")
+                        .into(),
+                );
             }
             Self::NotDegrees { .. } => {
                 "export it in WGS 84 (EPSG:4326), longitude first; for model units add \"crs\": null to the file"
@@ -97,21 +103,26 @@ impl RegionError {
         }
     }
 
-    /// Returns whether a polygon that was taken for one in units of the model is probably in degrees.
+    /// Returns whether a polygon or box that was taken for one in units of the model is probably in
+    /// degrees.
     pub(super) fn is_in_degrees(&self) -> bool {
-        let Self::OutsideMap {
-            region: Rectangle { low, high },
-            is_geodetic: false,
-            ..
-        } = self
-        else {
-            return false;
-        };
-        // A site is far smaller than a degree, and far from the origin.
-        (0..2).all(|axis| {
-            let most = [180.0, 90.0][axis];
-            high[axis] - low[axis] < 0.5 && low[axis] >= -most && high[axis] <= most
-        }) && (0..2).any(|axis| low[axis].abs() > 1.0)
+        match self {
+            Self::OutsideMap {
+                region: Rectangle { low, high },
+                is_geodetic: false,
+                ..
+            } => are_degrees(*low, *high),
+            Self::OutsideBox { region, model } => {
+                // A model without scale may be small itself.
+                let is_tiny = (0..2).all(|axis| {
+                    let size = |of: &[f64; 6]| of[axis + 3] - of[axis];
+                    size(region) < TINY * size(model)
+                });
+                let [west, south, _, east, north, _] = *region;
+                are_degrees([west, south], [east, north]) && (is_tiny || !self.is_near())
+            }
+            _ => false,
+        }
     }
 
     pub(super) fn outside_box(region: &[f64], model: &[f64; 6]) -> Self {
@@ -120,6 +131,20 @@ impl RegionError {
             model: *model,
         }
     }
+}
+
+/// Side of a box over that of the model, below which it may be one in degrees beside a model in
+/// metres.
+const TINY: f64 = 0.01;
+
+/// Returns whether the corners of a rectangle may be longitudes and latitudes: a site is far smaller
+/// than a degree, and far from the origin.
+fn are_degrees(low: [f64; 2], high: [f64; 2]) -> bool {
+    let most = [180.0, 90.0];
+    let on_earth = |axis: usize| {
+        high[axis] - low[axis] < 0.5 && low[axis] >= -most[axis] && high[axis] <= most[axis]
+    };
+    (0..2).all(on_earth) && (0..2).any(|axis| low[axis].abs() > 1.0)
 }
 
 /// Returns whether a region is at most [`NEAR`] times the size of the surface away from it along
@@ -158,8 +183,13 @@ fn in_space(corners: &[f64; 6]) -> String {
 impl Hint for RegionError {
     fn hint(&self) -> Option<Advice> {
         let hint = match self {
+            Self::OutsideBox { .. } if self.is_in_degrees() => {
+                "its numbers look like longitude and latitude, but a box is in the frame and the units of the model: give the corners as a polygon in GeoJSON"
+            }
             _ if self.is_in_degrees() => {
-                "its numbers look like longitude and latitude, but the place of the model on earth is not known: set frame.origin or frame.utm"
+                return Some(
+                    format!("its numbers look like longitude and latitude, but the place of the model on earth is not known: {SET_PLACE}").into(),
+                );
             }
             _ if self.is_too_small() => {
                 return Some(
@@ -180,7 +210,7 @@ impl Hint for RegionError {
                 "check that the polygon has longitude before latitude, and frame.origin or frame.utm"
             }
             Self::OutsideMap { .. } => {
-                "draw the polygon over viewrank/views_local.json; for one in WGS 84 set frame.origin or frame.utm"
+                "draw the polygon over viewrank/views_local.json; for one in WGS 84 the model needs a place on earth (frame.utm or frame.origin in viewrank.toml)"
             }
             Self::OutsideBox { .. } => "give it in the frame and the units of the model",
             Self::Weightless => "give the areas that count a weight above 0",

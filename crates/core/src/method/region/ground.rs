@@ -13,7 +13,7 @@ use super::{
     LOOKED_AT, RegionProperties,
     areas::MapAreas,
     columns::Rectangle,
-    polygon::{crosses, ring_edges},
+    polygon::{crosses, polygon_area, ring_edges},
 };
 use crate::{
     base::{
@@ -212,6 +212,15 @@ impl Footprint<'_> {
             Self::Hull(corners) => corners.len(),
         }
     }
+
+    /// Area within the rings, which are those of the footprint; what lies in several polygons counts
+    /// several times.
+    fn area(&self, rings: &[Vec<[f64; 2]>]) -> f64 {
+        match self {
+            Self::Areas(areas) => areas.area(rings),
+            Self::Hull(_) => polygon_area(rings),
+        }
+    }
 }
 
 /// A square of a region on the map.
@@ -234,6 +243,8 @@ pub struct Ground {
     pub plane: GroundPlane,
     /// Side of a cell, scene units.
     pub side: f64,
+    /// Square scene units.
+    pub area: f64,
     /// The cells inside, row by row.
     pub cells: Vec<GroundCell>,
     /// Outline on the map: rings, not closed.
@@ -288,20 +299,30 @@ impl Ground {
         Ok((!cells.is_empty()).then_some(Self {
             plane,
             side: grid.side,
+            area: area(footprint, &rings, cells.len() as f64, grid.side),
             cells,
             rings,
         }))
-    }
-
-    /// Square scene units.
-    pub fn area(&self) -> f64 {
-        self.cells.len() as f64 * self.side * self.side
     }
 
     /// Share of the area whose cells are so, 0 to 1.
     pub fn share(&self, is_so: impl Fn(&GroundCell) -> bool) -> f64 {
         let so = self.cells.iter().filter(|cell| is_so(cell)).count();
         so as f64 / self.cells.len() as f64
+    }
+}
+
+/// The area within the rings; that of the cells where the two differ by more than the cells' own
+/// error, because polygons overlap.
+fn area(footprint: &Footprint, rings: &[Vec<[f64; 2]>], cells: f64, side: f64) -> f64 {
+    let of_cells = cells * side * side;
+    let edges = rings.iter().flat_map(|ring| ring_edges(ring));
+    let outline: f64 = edges.map(|[a, b]| (b[0] - a[0]).hypot(b[1] - a[1])).sum();
+    let within = footprint.area(rings);
+    if (within - of_cells).abs() <= outline * side {
+        within
+    } else {
+        of_cells
     }
 }
 

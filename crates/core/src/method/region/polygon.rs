@@ -36,6 +36,20 @@ pub fn ring_edges(ring: &[[f64; 2]]) -> impl Iterator<Item = Edge> {
     (0..ring.len()).map(|i| [ring[i], ring[(i + 1) % ring.len()]])
 }
 
+/// Returns the area within the outer ring and outside of the holes, in whatever direction they run.
+pub fn polygon_area(rings: &[Vec<[f64; 2]>]) -> f64 {
+    let of_ring = |ring: &Vec<[f64; 2]>| {
+        // From the first corner: coordinates may be large against the ring.
+        let [x, y] = ring.first().copied().unwrap_or_default();
+        let twice = ring_edges(ring)
+            .map(|[a, b]| (a[0] - x) * (b[1] - y) - (b[0] - x) * (a[1] - y))
+            .sum::<f64>();
+        0.5 * twice.abs()
+    };
+    let mut areas = rings.iter().map(of_ring);
+    areas.next().unwrap_or_default() - areas.sum::<f64>()
+}
+
 /// A polygon with holes, indexed for queries.
 #[derive(Clone, Debug)]
 pub struct PreparedPolygon {

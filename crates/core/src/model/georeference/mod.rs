@@ -47,6 +47,10 @@ pub struct Support {
     pub median: f64,
 }
 
+/// How to say where on earth a model is.
+pub const SET_PLACE: &str =
+    "set frame.utm (\"33N\") or frame.origin ([latitude, longitude, height]) in viewrank.toml";
+
 /// Plausible heights of cameras above the ellipsoid, metres.
 const HEIGHTS: std::ops::RangeInclusive<f64> = -1000.0..=15_000.0;
 /// Least cosine of the angle between up in the model and up on the ellipsoid.
@@ -127,7 +131,7 @@ impl Georeference {
         match self {
             Self::Local => {
                 "a local frame, x to the right and y up the map, scene units: the model has no georeference \
-                 (set frame.origin or frame.utm)"
+                 (frame.utm or frame.origin in viewrank.toml gives it one)"
             }
             Self::Ecef => "earth-centred coordinates",
             Self::Fitted { .. } => {

@@ -67,7 +67,7 @@ fn photographs_are_counted_all_over_the_region() {
     let ground = Ground::new(&region, &photographed(&scene, &[]), &frame, &NoWatcher)
         .unwrap()
         .unwrap();
-    assert!((ground.area() - 300.0).abs() < 6.0, "{}", ground.area());
+    assert!((ground.area - 300.0).abs() < 1e-9, "{}", ground.area);
     let share = |views: u32| ground.share(|cell| cell.views == views);
     let expected = [1.0 / 2.0, 1.0 / 3.0, 1.0 / 6.0];
     for (views, expected) in (0..).zip(expected) {
@@ -147,6 +147,35 @@ fn an_area_of_the_region_may_want_more_than_the_rest() {
         let wanted = if x < 0.0 { 0.1 } else { finer };
         assert_eq!((cell.gsd, cell.too_coarse), (wanted, x > 0.0), "{x}");
     }
+}
+
+#[test]
+fn the_area_is_that_of_the_polygons_but_what_lies_in_two_counts_once() {
+    let scene = flight();
+    let frame = MapFrame::new(&scene, Some([0.0, 0.0, 1.0]));
+    let area = |polygons: Vec<Vec<Vec<[f64; 2]>>>| {
+        let areas = Areas {
+            coordinates: Coordinates::Model {
+                axes: Some([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
+            },
+            areas: vec![Area {
+                polygons,
+                weight: 1.0,
+                gsd: None,
+            }],
+        };
+        let areas = MapAreas::new(areas, &Georeference::Local, &frame).unwrap();
+        let region = Footprint::Areas(&areas);
+        let ground = Ground::new(&region, &photographed(&scene, &[]), &frame, &NoWatcher);
+        ground.unwrap().unwrap().area
+    };
+    let diamond = |x: f64, half: f64| vec![[x - half, 0.], [x, -half], [x + half, 0.], [x, half]];
+    let with_hole = vec![diamond(0.0, 4.0), diamond(0.0, 1.0)];
+    let apart = vec![diamond(9.0, 2.0)];
+    let exact = area(vec![with_hole, apart]);
+    assert!((exact - (32.0 - 2.0 + 8.0)).abs() < 1e-9, "{exact}");
+    let twice = area(vec![vec![diamond(0.0, 4.0)], vec![diamond(0.0, 4.0)]]);
+    assert!((twice - 32.0).abs() < 0.5, "{twice}");
 }
 
 #[test]
