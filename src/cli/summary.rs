@@ -121,10 +121,8 @@ impl<'a> Summary<'a> {
     ) -> Self {
         let manifest = &files.manifest;
         // A page of this plan has its own.
-        let flight = files
-            .outdated_flight
-            .iter()
-            .filter(|_| asked.page.is_none());
+        let flight = files.outdated_flight.iter();
+        let flight = flight.filter(|_| asked.page.is_none());
         let outdated = files.outdated_exports.iter().chain(flight).cloned();
         let outdated: Vec<String> = outdated.collect();
         Self {
@@ -147,36 +145,28 @@ impl<'a> Summary<'a> {
             speed_up: plan.decision.forecast.speed_up(plan.timings.total()),
             warnings: warnings_with(&files.manifest.warnings, &files.manifest.exports, &outdated),
             written: !dry_run,
-            files: files
-                .sets
-                .iter()
-                .flat_map(|set| set.files.keys().cloned())
-                .collect(),
-            images: project
-                .images
-                .as_ref()
-                .map(|images| images.display().to_string()),
-            notes: asked
-                .dropped_region
-                .map(|region| dropped(&region))
-                .into_iter()
-                .chain(notes(project, plan, &files.place))
-                .collect(),
+            files: {
+                let sets = files.sets.iter();
+                sets.flat_map(|set| set.files.keys().cloned()).collect()
+            },
+            images: {
+                let images = project.images.as_ref();
+                images.map(|images| images.display().to_string())
+            },
+            chosen_for: chosen_for(project, plan, asked.keeps_backend),
             look: match &asked.page {
                 Some(page) => shown_path(page),
                 None => format!("viewrank report {} --open", command_path(&project.home)),
+            },
+            notes: {
+                let dropped = asked.dropped_region.map(|region| dropped(&region));
+                let others = notes(project, plan, &files.place);
+                dropped.into_iter().chain(others).collect()
             },
             next,
             timings: &plan.timings,
             memory: plan.stages.memory,
             tiles: plan.stages.surface_stats.tiles,
-            chosen_for: if asked.keeps_backend {
-                format!(" ({})", Choice::Planned.describe())
-            } else if plan.stages.settings.backends.is_empty() {
-                format!(" ({})", backends::by_default(project).1.describe())
-            } else {
-                String::new()
-            },
             manifest,
             weight: plan.stages.settings.ranking.weight,
             counts_places: plan.stages.pilot.is_some(),
@@ -597,6 +587,18 @@ fn whole_percent(share: f64) -> String {
 /// Says that the plan before was for a region, and how to have it again.
 fn dropped(region: &TypedSetting) -> String {
     format!("The plan before was for a region; this one is for all ({region} brings it back).")
+}
+
+/// How the backend was chosen, in brackets; empty where the user named it.
+fn chosen_for(project: &Project, plan: &Plan, keeps_backend: bool) -> String {
+    let choice = if keeps_backend {
+        Choice::Planned
+    } else if plan.stages.settings.backends.is_empty() {
+        backends::by_default(project).1
+    } else {
+        return String::new();
+    };
+    format!(" ({})", choice.describe())
 }
 
 /// Notes on images that may be unexpected: other names, other folders.

@@ -126,6 +126,15 @@ impl Phase {
 }
 
 impl Phase {
+    fn note(&self) -> Option<&String> {
+        match self {
+            Self::Planned { note, .. }
+            | Self::Partial { note, .. }
+            | Self::Reached { note, .. } => note.as_ref(),
+            _ => None,
+        }
+    }
+
     /// The same phase of a plan for this backend, where it is of a plan.
     pub fn of_plan_for(mut self, name: &str) -> Self {
         if let Self::Planned { backend, .. }
@@ -158,7 +167,6 @@ impl fmt::Display for Phase {
                 clusters,
                 share,
                 has_region,
-                note,
                 ..
             } => {
                 let chosen = chosen_for(backend, *clusters);
@@ -167,7 +175,7 @@ impl fmt::Display for Phase {
                     let (percent, area) = (share * 100.0, area(has_region));
                     write!(f, " for {percent:.0} % of {area}")?;
                 }
-                note.iter().try_for_each(|note| write!(f, "; {note}"))
+                Ok(())
             }
             Self::Partial {
                 backend,
@@ -176,7 +184,7 @@ impl fmt::Display for Phase {
                 share,
                 unmeasured,
                 has_region,
-                note,
+                ..
             } => {
                 write!(f, "partial{}: {done} of {clusters} depth maps", of(backend))?;
                 // Rounded down: 89.9 % must not look like a reached target of 90 %.
@@ -185,40 +193,32 @@ impl fmt::Display for Phase {
                     write!(f, ", about {percent:.0} % of {}", area(has_region))
                 })?;
                 match *unmeasured {
-                    0 => {}
-                    1 => write!(f, ", 1 new file to measure")?,
-                    n => write!(f, ", {n} new files to measure")?,
+                    0 => Ok(()),
+                    1 => write!(f, ", 1 new file to measure"),
+                    n => write!(f, ", {n} new files to measure"),
                 }
-                note.iter().try_for_each(|note| write!(f, "; {note}"))
             }
             Self::Reached {
                 backend,
                 done,
                 share,
                 has_region,
-                note,
                 ..
             } => {
+                let (of, percent, area) = (of(backend), share * 100.0, area(has_region));
                 write!(
                     f,
-                    "done{}: {done} depth maps, about {:.0} % of {}",
-                    of(backend),
-                    share * 100.0,
-                    area(has_region)
-                )?;
-                note.iter().try_for_each(|note| write!(f, "; {note}"))
+                    "done{of}: {done} depth maps, about {percent:.0} % of {area}"
+                )
             }
             Self::Failed {
                 reason,
-                retry_after_s,
+                retry_after_s: wait,
                 ..
-            } => {
-                write!(
-                    f,
-                    "failed: {reason} (retry {retry_after_s} s after the failure)"
-                )
-            }
-        }
+            } => write!(f, "failed: {reason} (retry {wait} s after the failure)"),
+        }?;
+        let mut note = self.note().into_iter();
+        note.try_for_each(|note| write!(f, "; {note}"))
     }
 }
 

@@ -139,16 +139,7 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     let (exports, not_exported) = exports(&selection, &wanted(plan, project)?)?;
     let mut missing = not_exported.clone();
     missing.extend(unfit_default(&selection, plan));
-    let pair_files = backends::pair_files("the list of view clusters", &selection);
-    let pair_files = pair_files.or_else(|error| match error {
-        BackendError::Name { .. } => {
-            missing.push(format!(
-                "did not write clusters.txt, pairs.txt and baseImages.txt: {error}"
-            ));
-            Ok(Vec::new())
-        }
-        error => Err(error),
-    })?;
+    let lists = lists(&selection, &mut missing)?;
     let records = exports.iter().map(|export| export.record.clone()).collect();
     let place = plan.stages.place;
     // Fingerprint and surface take one thread each.
@@ -166,7 +157,7 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     let stale = stale_page(project, &manifest);
     let is_stale = stale.is_some();
     let mut own = own_files(plan, project, &manifest);
-    for (name, text) in pair_files {
+    for (name, text) in lists {
         own.add_text(format!("viewrank/{name}"), text);
     }
     own.add_text(format!("viewrank/{}", views_file(&place)), views);
@@ -193,6 +184,23 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
         place,
         not_exported,
         next,
+    })
+}
+
+/// The lists of view clusters and pairs, none where they cannot hold a name; `missing` gets why.
+fn lists(
+    selection: &Selection,
+    missing: &mut Vec<String>,
+) -> Result<Vec<(&'static str, String)>, BackendError> {
+    let lists = backends::pair_files("the list of view clusters", selection);
+    lists.or_else(|error| match error {
+        BackendError::Name { .. } => {
+            missing.push(format!(
+                "did not write clusters.txt, pairs.txt and baseImages.txt: {error}"
+            ));
+            Ok(Vec::new())
+        }
+        error => Err(error),
     })
 }
 
