@@ -30,6 +30,8 @@ pub(super) const INPUT: &str = "input";
 pub(super) const DISTORTED: &str = "distorted";
 /// Depth below a folder to which other folders of images are searched.
 const DEPTH: usize = 2;
+/// Most folders in the path of a `project.ini` that are left out.
+const MOST_PARTS: usize = 16;
 /// Most folders that are searched.
 const MOST_FOLDERS: usize = 2000;
 /// Folders that hold images of these names which are no photographs of the model: results of
@@ -211,15 +213,15 @@ pub(super) fn candidates(root: &Path, model: &Path) -> Vec<PathBuf> {
     [usual(root, model), reduced(root, model)].concat()
 }
 
-/// The photographs of a distorted model of 3D Gaussian Splatting, the nearest `images`, the image
-/// path in the model's `project.ini`, the project folder and the model's folder, where they exist.
+/// The photographs of a distorted model of 3D Gaussian Splatting, the nearest `images`, those of the
+/// nearest `project.ini`, the project folder and the model's folder, where they exist.
 fn usual(root: &Path, model: &Path) -> Vec<PathBuf> {
     let bare = [Some(root.into()), model.parent().map(Path::to_path_buf)];
     let images = around(root, model).map(|above| Some(above.join(IMAGES)));
     [input_of(model)]
         .into_iter()
         .chain(images)
-        .chain([colmap_image_path(model)])
+        .chain(of_settings(root, model).into_iter().map(Some))
         .chain(bare)
         .flatten()
         .filter(|folder| folder.is_dir())
@@ -249,16 +251,31 @@ fn around<'a>(root: &'a Path, model: &'a Path) -> impl Iterator<Item = &'a Path>
     model.ancestors().take(3).chain([root])
 }
 
-/// `image_path` of the `project.ini` that COLMAP writes next to a model.
-fn colmap_image_path(model: &Path) -> Option<PathBuf> {
-    let settings = input::read_text(&model.join("project.ini"), FileKind::Settings).ok()?;
+/// The folders that may be meant by the nearest `project.ini`, which COLMAP writes next to a model:
+/// its path is that of the machine and the working directory in which COLMAP ran, so that it counts
+/// from each folder above the model, and what it ends with from the project.
+fn of_settings(root: &Path, model: &Path) -> Vec<PathBuf> {
+    let Some(path) = around(root, model).find_map(colmap_image_path) else {
+        return Vec::new();
+    };
+    let as_it_is = around(root, model).map(|above| above.join(&path));
+    let ends = path.match_indices('/').take(MOST_PARTS);
+    let ends = ends.map(|(at, _)| root.join(path[at + 1..].trim_start_matches('/')));
+    as_it_is.chain(ends).collect()
+}
+
+/// `image_path` in the `project.ini` of a folder.
+fn colmap_image_path(folder: &Path) -> Option<String> {
+    let settings = input::read_text(&folder.join("project.ini"), FileKind::Settings).ok()?;
     let value = settings.lines().find_map(|line| {
         line.trim()
             .strip_prefix("image_path")?
             .trim()
             .strip_prefix('=')
     })?;
-    Some(model.join(value.trim()))
+    let path = value.trim().replace('\\', "/");
+    let path = path.trim_end_matches('/');
+    (!path.is_empty()).then(|| path.into())
 }
 
 /// Finds the image folder: the first usual place that holds one of the `names`; else, of the usual
