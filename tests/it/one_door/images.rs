@@ -208,6 +208,75 @@ fn masks_are_named_as_by_colmap() {
 }
 
 #[test]
+fn the_image_path_of_colmaps_settings_is_one_more_place() {
+    let elsewhere = Folder::new();
+    elsewhere.pictures(&scene(), |name| format!("photos/{name}"));
+    let absolute = elsewhere.at("photos");
+    let inside = "a/b/c/d/photos";
+    let paths = [
+        (absolute.to_str().unwrap(), None),
+        ("a/b/c/d/photos", Some(inside)),
+        ("project/a/b/c/d/photos/", Some(inside)),
+        ("..\\..\\a\\b\\c\\d\\photos", Some(inside)),
+        ("D:\\survey\\project\\a\\b\\c\\d\\photos\\", Some(inside)),
+        ("/home/ann/project/a/b/c/d/photos", Some(inside)),
+    ];
+    for (path, place) in paths {
+        for settings in ["sparse/0/project.ini", "project.ini"] {
+            let folder = Folder::new();
+            folder
+                .colmap("sparse/0", &ColmapModel::from_scene(&scene()))
+                .write(settings, format!("[Mapper]\nimage_path = {path}\n"));
+            if let Some(place) = place {
+                folder.pictures(&scene(), |name| format!("{place}/{name}"));
+            }
+            let project = folder.open();
+            let read = project.read_scene().unwrap();
+            assert_eq!(project.image_faults(&read).missing, [], "{path}");
+        }
+    }
+}
+
+#[test]
+fn masks_beside_the_images_are_no_photographs() {
+    let folder = Folder::new();
+    folder
+        .colmap("sparse/0", &renamed(|n| format!("a/IMG_{n}.JPG")))
+        .pictures(&scene(), |name| {
+            let name = name.replace("view", "IMG").replace(".png", ".JPG");
+            format!("images/a/{name}")
+        });
+    let masks = [
+        "IMG_0_mask.png",
+        "IMG_1.JPG.mask.png",
+        "IMG_2.mask.png",
+        "IMG_3.JPG.png",
+        "IMG_4_MASK.JPG",
+        "IMG_99_mask.JPG",
+        "masks/IMG_5.png",
+        "masks/IMG_6.JPG.png",
+        "Mask/IMG_7_mask.png",
+    ];
+    for mask in masks {
+        folder.write(&format!("images/a/{mask}"), "");
+    }
+    // The model lacks these.
+    let photographs = [
+        "IMG_100.JPG.png",
+        "IMG_98_mask.JPG",
+        "IMG_99.JPG",
+        "mask.png",
+    ];
+    for name in photographs {
+        folder.write(&format!("images/a/{name}"), "");
+    }
+    folder.write("images/b/masks/IMG_97.JPG", "");
+    let mut expected: Vec<String> = photographs.map(|name| format!("a/{name}")).to_vec();
+    expected.push("b/masks/IMG_97.JPG".into());
+    assert_eq!(folder.read().unregistered, expected);
+}
+
+#[test]
 fn the_matcher_gets_names_and_masks_as_they_were_found() {
     let folder = Folder::new();
     folder

@@ -1,13 +1,17 @@
 //! Image files by their names: which files are images, and all images below a folder.
 
-use std::path::Path;
+use std::{collections::HashSet, path::Path};
 
 use walkdir::WalkDir;
+
+use super::MASKS;
 
 /// Extensions of image files, lower case.
 pub(super) const EXTENSIONS: [&str; 10] = [
     "jpg", "jpeg", "png", "tif", "tiff", "bmp", "ppm", "pgm", "webp", "jp2",
 ];
+/// How the name of a mask ends where it is beside its image.
+const MASK: &str = "mask";
 /// Most files and folders that are looked through: a project's settings may name any folder.
 pub(super) const MOST_ENTRIES: usize = 500_000;
 
@@ -48,6 +52,61 @@ pub fn is_image(path: &Path) -> bool {
         .extension()
         .map(|e| e.to_string_lossy().to_ascii_lowercase());
     extension.is_some_and(|e| EXTENSIONS.contains(&e.as_str()))
+}
+
+/// The images of a folder that are no masks of others in it: `a_mask.png`, `a.mask.png`,
+/// `a.jpg.mask.png`, `a.jpg.png` and `masks/a.png` are masks of `a.jpg`, wherever that is. Alone
+/// they may be photographs.
+pub(super) fn without_masks(images: Vec<String>) -> Vec<String> {
+    let names: HashSet<&str> = images.iter().map(String::as_str).collect();
+    let stems: HashSet<&str> = images.iter().map(|name| stem(name)).collect();
+    let is_there = |image: &String| {
+        names.contains(&**image) || stems.contains(&**image) && !is_image(Path::new(image))
+    };
+    let is_mask: Vec<bool> = images
+        .iter()
+        .map(|name| masked(name).iter().any(is_there))
+        .collect();
+    let images = images.into_iter().zip(is_mask);
+    images
+        .filter(|(_, is_mask)| !is_mask)
+        .map(|(name, _)| name)
+        .collect()
+}
+
+/// Names of the images, with or without extension, that a file may be the mask of by its own.
+fn masked(name: &str) -> Vec<String> {
+    let stem = stem(name);
+    let unmarked = strip_mark(stem);
+    let image = Some(stem).filter(|stem| is_image(Path::new(stem)));
+    let beside = [unmarked, image].into_iter().flatten().map(String::from);
+    let Some((folder, last)) = stem.rsplit_once('/') else {
+        return beside.collect();
+    };
+    let (above, folder) = folder.rsplit_once('/').unwrap_or(("", folder));
+    let is_of_masks = [MASK, MASKS]
+        .iter()
+        .any(|of| folder.eq_ignore_ascii_case(of));
+    let lasts = [Some(last), strip_mark(last)].into_iter().flatten();
+    let above = lasts.filter(|_| is_of_masks).map(|last| match above {
+        "" => last.into(),
+        above => format!("{above}/{last}"),
+    });
+    beside.chain(above).collect()
+}
+
+/// What is before the mark of a mask at the end of its name.
+fn strip_mark(stem: &str) -> Option<&str> {
+    let (rest, mark) = stem.split_at_checked(stem.len().checked_sub(MASK.len())?)?;
+    let rest = rest.strip_suffix(['_', '-', '.'])?;
+    (mark.eq_ignore_ascii_case(MASK) && !rest.is_empty()).then_some(rest)
+}
+
+fn stem(name: &str) -> &str {
+    match name.rsplit_once('.') {
+        Some((stem, extension)) if !extension.contains('/') => stem,
+        _ => name,
+    }
 }
 
 /// Formats a path with `/` as the separator, like image names.

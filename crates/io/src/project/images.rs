@@ -14,7 +14,7 @@ use viewrank_core::{
 
 use super::{
     ImageFolder, MASKS, Project, folder,
-    image_files::images_below,
+    image_files::{images_below, without_masks},
     names::Names,
     probe::{Unread, probe, size_by_header},
 };
@@ -377,9 +377,9 @@ pub(super) fn unregistered(folder: &ImageFolder, scene: &Scene) -> Vec<String> {
         .chain(folder.other_names().map(|(_, file)| file))
         .chain(folder.candidates());
     let registered: HashSet<PathBuf> = names.map(|name| in_folder(name, folder)).collect();
-    images_below(folder, |name| {
-        !registered.contains(name) && !name.starts_with(MASKS)
-    })
+    let mut photographs = without_masks(images_below(folder, |name| !name.starts_with(MASKS)));
+    photographs.retain(|name| !registered.contains(Path::new(name)));
+    photographs
 }
 
 /// Tells images of the survey, if the project folder itself is the image folder: those in a folder
