@@ -138,8 +138,11 @@ impl Selection<'_> {
                 )),
                 (None, Some((view, [width, height]))) => {
                     let (name, camera) = (self.scene.name(*view), self.scene.camera_of(*view));
+                    let why = faults
+                        .turned
+                        .map_or(String::new(), |turned| format!(": {}", turned.why()));
                     unusable(format!(
-                        "the model's images, and those in {at} are others: {name} has {width} x {height} pixels, its camera {} x {}",
+                        "the model's images, and those in {at} are others: {name} has {width} x {height} pixels, its camera {} x {}{why}",
                         camera.width, camera.height
                     ))
                 }

@@ -5,6 +5,7 @@ use std::ops::RangeInclusive;
 use super::{Finding, Inputs, MOST, Severity, counted};
 use crate::{
     base::median::upper_median,
+    io::project::Turned,
     model::{
         georeference::{Georeference, MapFrame, UPRIGHT},
         scene::{PointIndex, Units, ViewIndex, WarningKind},
@@ -277,7 +278,8 @@ fn foreign(inputs: &Inputs) -> Option<Finding> {
         (Severity::Error, "images-of-another-size"),
         &inputs.images.other_aspect_ratio,
     );
-    let what = "these are not the model's images";
+    let turned = inputs.images.turned;
+    let what = turned.map_or("these are not the model's images", Turned::why);
     let cure = inputs.images.cure().unwrap_or_default();
     of_another_size(inputs, kind, images, what, cure)
 }

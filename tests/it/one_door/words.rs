@@ -115,13 +115,59 @@ fn a_model_placed_by_positions_is_in_metres_on_its_page_too() {
     assert!((metres().unwrap() - 2.0).abs() < 0.05, "{:?}", metres());
 }
 
-/// A picture of 100 x 75 pixels taken at 52° and 21° and so many seconds of arc to the north and to
-/// the east.
-fn with_position([north, east]: [f64; 2]) -> Vec<u8> {
+#[test]
+fn pictures_that_a_viewer_has_turned_are_said_to_be() {
+    let mut upright = scene();
+    for camera in &mut upright.cameras {
+        *camera = Camera::new(
+            1,
+            CameraModel::Pinhole,
+            75,
+            100,
+            vec![85.0, 85.0, 37.5, 50.0],
+        )
+        .unwrap();
+    }
+    for view in &mut upright.views {
+        view.name = view.name.replace("png", "jpg");
+    }
+    let entry = [0x12, 1, 3, 0, 1, 0, 0, 0, 6, 0, 0, 0];
+    let turned = jpeg_with(&[&b"II*\0\x08\0\0\0\x01\0"[..], &entry, &[0; 4]].concat());
+    let plain = jpeg_with(b"II*\0\x08\0\0\0\0\0\0\0\0\0");
+    for (picture, why, cure) in [
+        (turned, "EXIF orientation says", "-auto-orient"),
+        (plain, "it is turned by 90°", "camera's card"),
+    ] {
+        let folder = Folder::new();
+        folder.colmap("sparse/0", &ColmapModel::from_scene(&upright));
+        for view in &upright.views {
+            folder.write(&format!("images/{}", view.name), &picture);
+        }
+        let (code, stdout, stderr) = folder.plan(&["--backend", "openmvs"]);
+        assert_eq!(code, 1, "{stdout}");
+        let stderr = stderr.split_whitespace().collect::<Vec<_>>().join(" ");
+        assert!(stderr.contains(why) && stderr.contains(cure), "{stderr}");
+        let (_, doctor, _) = said(&viewrank(&["doctor", folder.path().to_str().unwrap()]));
+        let doctor = doctor.split_whitespace().collect::<Vec<_>>().join(" ");
+        assert!(doctor.contains(why) && doctor.contains(cure), "{doctor}");
+    }
+}
+
+/// A JPEG file of 100 x 75 pixels with this EXIF data.
+fn jpeg_with(tiff: &[u8]) -> Vec<u8> {
     let mut picture = std::io::Cursor::new(Vec::new());
     let grey = image::GrayImage::new(100, 75);
     grey.write_to(&mut picture, image::ImageFormat::Jpeg)
         .unwrap();
+    let exif = [b"Exif\0\0", tiff].concat();
+    let jpeg = picture.into_inner();
+    let length = (exif.len() as u16 + 2).to_be_bytes();
+    [&jpeg[..2], b"\xff\xe1", &length, &exif, &jpeg[2..]].concat()
+}
+
+/// A picture of 100 x 75 pixels taken at 52° and 21° and so many seconds of arc to the north and to
+/// the east.
+fn with_position([north, east]: [f64; 2]) -> Vec<u8> {
     let entry = |tag: u16, kind: u16, count: u32, value: u32| {
         let [tag, kind] = [tag, kind].map(u16::to_le_bytes).map(Vec::from);
         let [count, value] = [count, value].map(u32::to_le_bytes).map(Vec::from);
@@ -144,17 +190,16 @@ fn with_position([north, east]: [f64; 2]) -> Vec<u8> {
         entry(3, 2, 2, u32::from(b'E')),
         entry(4, 5, 3, numbers + 24),
     ]);
-    let exif = [
-        b"Exif\0\0II*\0\x08\0\0\0".as_slice(),
-        &first,
-        &gps,
-        &degrees(52, north),
-        &degrees(21, east),
-    ]
-    .concat();
-    let jpeg = picture.into_inner();
-    let length = (exif.len() as u16 + 2).to_be_bytes();
-    [&jpeg[..2], b"\xff\xe1", &length, &exif, &jpeg[2..]].concat()
+    jpeg_with(
+        &[
+            b"II*\0\x08\0\0\0".as_slice(),
+            &first,
+            &gps,
+            &degrees(52, north),
+            &degrees(21, east),
+        ]
+        .concat(),
+    )
 }
 
 #[test]

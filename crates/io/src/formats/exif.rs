@@ -1,4 +1,4 @@
-//! GPS positions in the EXIF data of images: JPEG (CIPA DC-008, APP1) and TIFF.
+//! GPS positions and the orientation in the EXIF data of images: JPEG (CIPA DC-008, APP1) and TIFF.
 
 use std::{io::Read, path::Path};
 
@@ -12,6 +12,7 @@ const SEARCHED: u64 = 256 << 10;
 /// Largest number of entries of a directory that is read.
 const MOST_ENTRIES: usize = 512;
 
+const ORIENTATION: u16 = 0x0112;
 const GPS_DIRECTORY: u16 = 0x8825;
 const LATITUDE_REF: u16 = 1;
 const LATITUDE: u16 = 2;
@@ -23,18 +24,30 @@ const ALTITUDE: u16 = 6;
 /// The position at which the image was taken, its height above sea level; `None` if it has none or
 /// cannot be read.
 pub fn position(image: &Path) -> Option<Geodetic> {
+    Tiff::new(tiff_of(&start(image)?)?)?.position()
+}
+
+/// Returns whether the image is to be shown turned by 90° to either side (orientations 5 to 8);
+/// false if it doesn't say so or cannot be read.
+pub fn is_shown_turned(image: &Path) -> bool {
+    let orientation = || Tiff::new(tiff_of(&start(image)?)?)?.orientation();
+    orientation().is_some_and(|orientation| (5..=8).contains(&orientation))
+}
+
+/// The beginning of an image, which has its EXIF data.
+fn start(image: &Path) -> Option<Vec<u8>> {
     let mut bytes = Vec::new();
-    input::open(image)
-        .ok()?
-        .take(SEARCHED)
-        .read_to_end(&mut bytes)
-        .ok()?;
-    let tiff = if bytes.starts_with(&[0xff, 0xd8]) {
-        exif_of_jpeg(&bytes)?
+    let file = input::open(image).ok()?;
+    file.take(SEARCHED).read_to_end(&mut bytes).ok()?;
+    Some(bytes)
+}
+
+fn tiff_of(bytes: &[u8]) -> Option<&[u8]> {
+    if bytes.starts_with(&[0xff, 0xd8]) {
+        exif_of_jpeg(bytes)
     } else {
-        &bytes
-    };
-    Tiff::new(tiff)?.position()
+        Some(bytes)
+    }
 }
 
 /// Finds the TIFF structure in the segments of a JPEG file.
@@ -111,8 +124,18 @@ impl<'a> Tiff<'a> {
         (0..count).map(entry).collect()
     }
 
+    fn main(&self) -> Option<Vec<Entry>> {
+        self.directory(self.u32(4)? as usize)
+    }
+
+    fn orientation(&self) -> Option<u16> {
+        let main = self.main()?;
+        let orientation = main.iter().find(|entry| entry.tag == ORIENTATION)?;
+        self.u16(orientation.place)
+    }
+
     fn gps(&self) -> Option<Vec<Entry>> {
-        let main = self.directory(self.u32(4)? as usize)?;
+        let main = self.main()?;
         let gps = main.iter().find(|entry| entry.tag == GPS_DIRECTORY)?;
         self.directory(self.u32(gps.place)? as usize)
     }

@@ -19,7 +19,10 @@ use super::{
     probe::{Unread, probe, size_by_header},
 };
 use crate::{
-    formats::foreign::{ForeignModel, last_parts},
+    formats::{
+        exif,
+        foreign::{ForeignModel, last_parts},
+    },
     mistaken, paths,
 };
 
@@ -131,6 +134,50 @@ const OTHER_SIZE: &str = "images of another size";
 const OTHER_ASPECT_RATIO: &str = "images of another aspect ratio";
 const UNREADABLE: &str = "images that cannot be read";
 
+/// Why an image has the width of its camera as its height.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Turned {
+    /// Its EXIF orientation says that it is to be shown turned, and the model was made from pictures
+    /// that were.
+    ForDisplay,
+    /// A program has turned its pixels, and the model was made from those that were not, or the
+    /// reverse.
+    InFile,
+}
+
+impl Turned {
+    /// Says what the file is and what turned it.
+    pub fn why(self) -> &'static str {
+        match self {
+            Self::ForDisplay => {
+                "its EXIF orientation says to show it turned by 90°, and the model was made from turned copies"
+            }
+            Self::InFile => {
+                "it is turned by 90°, as viewers do when they save it, and that of the model was not"
+            }
+        }
+    }
+
+    fn of(file: &Path) -> Self {
+        if exif::is_shown_turned(file) {
+            Self::ForDisplay
+        } else {
+            Self::InFile
+        }
+    }
+
+    fn cure(self) -> &'static str {
+        match self {
+            Self::ForDisplay => {
+                "give the turned copies that the model was made from, or turn copies of these as their EXIF says (ImageMagick: mogrify -auto-orient)"
+            }
+            Self::InFile => {
+                "give the images as they were when the model was made, such as from the camera's card, or make the model again from these"
+            }
+        }
+    }
+}
+
 /// Faults of the image files of a scene, according to their names and headers.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ImageFaults {
@@ -140,6 +187,8 @@ pub struct ImageFaults {
     pub other_size: Vec<(ViewIndex, [u32; 2])>,
     /// Views whose image has another aspect ratio than the camera's, with its width and height.
     pub other_aspect_ratio: Vec<(ViewIndex, [u32; 2])>,
+    /// The first of these whose image would fit if it were turned by 90°.
+    pub turned: Option<Turned>,
     /// Views whose file is empty, truncated, not an image or not to be read, in words.
     pub unreadable: Vec<(ViewIndex, &'static str)>,
 }
@@ -151,9 +200,10 @@ impl ImageFaults {
             (Some((_, why)), _) => {
                 Some(mistaken::cure_of(why).unwrap_or("copy them again from the source"))
             }
-            (None, Some(_)) => Some(
+            (None, Some(_)) => Some(self.turned.map_or(
                 "give the images that the model was made from, or the undistorted workspace with its own model",
-            ),
+                Turned::cure,
+            )),
             (None, None) => None,
         }
     }
@@ -167,6 +217,7 @@ impl ImageFaults {
             all.missing.extend(faults.missing);
             all.other_size.extend(faults.other_size);
             all.other_aspect_ratio.extend(faults.other_aspect_ratio);
+            all.turned = all.turned.or(faults.turned);
             all.unreadable.extend(faults.unreadable);
         }
         all
@@ -175,9 +226,12 @@ impl ImageFaults {
     fn of_view(folder: &ImageFolder, scene: &Scene, view: ViewIndex) -> Self {
         let camera = scene.camera_of(view);
         let mut faults = Self::default();
-        match probe(&folder.file(scene.name(view))) {
+        let file = folder.file(scene.name(view));
+        match probe(&file) {
             Ok(Some(size)) if !camera.has_aspect_ratio_of(size) => {
                 faults.other_aspect_ratio.push((view, size));
+                let is_turned = camera.has_aspect_ratio_of([size[1], size[0]]);
+                faults.turned = is_turned.then(|| Turned::of(&file));
             }
             Ok(Some(size)) if size != [camera.width, camera.height] => {
                 faults.other_size.push((view, size));
@@ -292,6 +346,11 @@ impl ImageFaults {
         Self {
             missing: self.missing.iter().copied().filter(is_among).collect(),
             other_size: sizes_among(&self.other_size),
+            turned: self.turned.filter(|_| {
+                self.other_aspect_ratio
+                    .iter()
+                    .any(|(view, _)| is_among(view))
+            }),
             other_aspect_ratio: sizes_among(&self.other_aspect_ratio),
             unreadable: self
                 .unreadable
@@ -310,8 +369,13 @@ impl ImageFaults {
         let doctor = format!("viewrank doctor {}", project.as_argument());
         let kinds = [
             self.missing_text(folder, scene),
-            other_text(OTHER_SIZE, &self.other_size, scene),
-            other_text(OTHER_ASPECT_RATIO, &self.other_aspect_ratio, scene),
+            other_text(OTHER_SIZE, &self.other_size, None, scene),
+            other_text(
+                OTHER_ASPECT_RATIO,
+                &self.other_aspect_ratio,
+                self.turned,
+                scene,
+            ),
             self.unreadable_text(scene),
         ];
         let texts = kinds.into_iter().flatten();
@@ -348,13 +412,19 @@ impl ImageFaults {
 }
 
 /// Text of a warning of images that have other sizes than their cameras.
-fn other_text(kind: &str, views: &[(ViewIndex, [u32; 2])], scene: &Scene) -> Option<String> {
+fn other_text(
+    kind: &str,
+    views: &[(ViewIndex, [u32; 2])],
+    turned: Option<Turned>,
+    scene: &Scene,
+) -> Option<String> {
     let &(first, [width, height]) = views.first()?;
     let (count, all) = (views.len(), scene.views.len());
     let (camera, name) = (scene.camera_of(first), scene.name(first));
     let model = format!("{} x {}", camera.width, camera.height);
+    let why = turned.map_or(String::new(), |turned| format!(" ({})", turned.why()));
     Some(format!(
-        "{kind} than their cameras: {count} of {all}, e.g. {name} with {width} x {height} instead of {model}"
+        "{kind} than their cameras: {count} of {all}, e.g. {name} with {width} x {height} instead of {model}{why}"
     ))
 }
 

@@ -31,7 +31,7 @@ pub use error::ProjectError;
 pub use files::ColmapFiles;
 pub use folder::{ImageFolder, MASKS};
 pub use image_files::{images_below, is_image, slashes};
-pub use images::ImageFaults;
+pub use images::{ImageFaults, Turned};
 pub use originals::Originals;
 pub use probe::{Unread, probe};
 
