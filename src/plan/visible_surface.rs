@@ -84,12 +84,13 @@ impl VisibleSurface {
                 }
                 _ => WantedGsd::uniform(gsd),
             };
-            let mesh = settings
-                .surface
-                .mesh
-                .as_deref()
-                .map(mesh::read)
-                .transpose()?;
+            let mesh = settings.surface.mesh.as_deref().map(|path| {
+                let buffer_px = settings.visibility.buffer_px;
+                let mesh = mesh::read(path)?;
+                let mesh = visibility::keep_parts_in_field(scene, mesh, buffer_px, watcher);
+                mesh.map_err(PlanError::from)
+            });
+            let mesh = mesh.transpose()?;
             surface::build(scene, &wanted, &settings.surface, mesh, most, watcher)
                 .map_err(|error| memory.too_fine(error))
         })?;

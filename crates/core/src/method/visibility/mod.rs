@@ -9,6 +9,7 @@
 
 mod buffer;
 mod estimator;
+mod parts;
 mod patches;
 mod settings;
 mod shown;
@@ -22,10 +23,13 @@ use std::{
 use bytemuck::Pod;
 use nalgebra::Point3;
 
-pub use self::shown::{gsd_at, projected_area};
 use self::{
     buffer::{Buffer, Face, FacePoint},
     estimator::{Estimator, Observations, RenderedView},
+};
+pub use self::{
+    parts::keep_parts_in_field,
+    shown::{gsd_at, projected_area},
 };
 pub use self::{settings::VisibilitySettings, shown::Shown};
 use crate::{
