@@ -257,6 +257,29 @@ fn files_of_other_programs_are_named_for_what_they_are() {
         ("cloud.las", "point cloud", "cameras"),
         ("model.zip", "ZIP", "unpack"),
         ("database.db", "database", "colmap mapper"),
+        ("distorted/database.db", "database", "colmap mapper"),
+        ("site.p4d", "Pix4D project", "opf2colmap"),
+        (
+            "site/1_initial/site_calibrated_camera_parameters.txt",
+            "Pix4D's cameras",
+            "opf2colmap",
+        ),
+        (
+            "site_calibrated_external_camera_parameters_wgs84.txt",
+            "Pix4D's cameras",
+            "OPF",
+        ),
+        ("poses_bounds.npy", "LLFF", "COLMAP model"),
+        ("frame_pose_0.txt", "list of poses", "point_triangulator"),
+        (
+            "seq/frame-000000.pose.txt",
+            "list of poses",
+            "point_triangulator",
+        ),
+        ("poses.csv", "list of poses", "point_triangulator"),
+        ("groundtruth.txt", "list of poses", "point_triangulator"),
+        ("cameras.json", "list of cameras", "COLMAP"),
+        ("data.tar.gz", "archive", "unpack"),
     ];
     for (name, what, cure) in kinds {
         let folder = Folder::new();
@@ -274,6 +297,68 @@ fn files_of_other_programs_are_named_for_what_they_are() {
         folder.colmap("sparse/0", &ColmapModel::from_scene(&scene()));
         assert_eq!(folder.read().views.len(), 9);
     }
+}
+
+#[test]
+fn models_that_are_compressed_are_to_be_unpacked() {
+    let kinds = [
+        "sparse/0/cameras.bin.gz",
+        "sparse/points3D.txt.gz",
+        "reconstruction.json.gz",
+        "opensfm/reconstruction.json.gz",
+        "transforms.json.xz",
+        "scene.nvm.gz",
+        "scene.mvs.zst",
+    ];
+    for name in kinds {
+        let folder = Folder::new();
+        folder
+            .pictures(&scene(), |name| format!("images/{name}"))
+            .write(name, "packed");
+        let (code, _, stderr) = folder.plan(&[]);
+        assert_eq!(code, 1, "{stderr}");
+        assert!(
+            stderr.contains(name)
+                && stderr.contains("is compressed with")
+                && stderr.contains("unpack it"),
+            "{stderr}"
+        );
+    }
+    // One of the files of a model, and one beside a whole model.
+    let folder = Folder::new();
+    folder.colmap("sparse/0", &ColmapModel::from_scene(&scene()));
+    let points = folder.at("sparse/0/points3D.bin");
+    fs::rename(&points, points.with_extension("bin.gz")).unwrap();
+    let (_, _, stderr) = folder.plan(&[]);
+    assert!(stderr.contains("gunzip"), "{stderr}");
+    folder.colmap("sparse/0", &ColmapModel::from_scene(&scene()));
+    assert_eq!(folder.read().views.len(), 9);
+}
+
+#[test]
+fn a_list_of_cameras_of_another_program_is_no_half_model_of_colmap() {
+    let folder = Folder::new();
+    folder
+        .pictures(&scene(), |name| format!("images/{name}"))
+        .write(
+            "cameras.txt",
+            "# Cameras (1)\n# PhotoID, X, Y, Z\nIMG_1.JPG, 1, 2, 3\n",
+        );
+    let (code, _, stderr) = folder.plan(&[]);
+    assert_eq!(code, 1);
+    assert!(
+        stderr.contains("list of cameras") && stderr.contains("point_triangulator"),
+        "{stderr}"
+    );
+    folder.write(
+        "cameras.txt",
+        "# Camera list\n1 PINHOLE 100 75 85 85 50 37.5\n",
+    );
+    let (_, _, stderr) = folder.plan(&[]);
+    assert!(
+        stderr.contains("images.txt, points3D.txt missing"),
+        "{stderr}"
+    );
 }
 
 #[test]

@@ -272,6 +272,15 @@ fn colmap_model(folder: &Path) -> Result<Option<ModelLocation>, ProjectError> {
             incomplete.get_or_insert((missing, format));
         }
     }
+    if let Some(error) = foreign::packed(folder, foreign::is_of_colmap) {
+        return Err(error);
+    }
+    // Other programs have lists of cameras of the same name, which alone are no model.
+    let incomplete = incomplete.filter(|(missing, format)| {
+        *format == ModelFormat::ColmapBinary
+            || missing[..] != REQUIRED[1..]
+            || files::are_cameras(&colmap_file(folder, REQUIRED[0], *format))
+    });
     match incomplete {
         None => Ok(None),
         Some((missing, format)) => Err(ProjectError::IncompleteModel {
@@ -347,7 +356,10 @@ fn check_any(path: &Path, root: &Path, models: &[ModelLocation]) -> Result<(), P
     if models.iter().all(|model| model.registered == 0) {
         let binary = || {
             let folders = [folders_of_other_programs(root), sub_folders(root)].concat();
-            folders.iter().find_map(|folder| foreign::in_binary(folder))
+            folders.iter().find_map(|folder| {
+                let packed = || foreign::packed(folder, foreign::is_of_model);
+                foreign::in_binary(folder).or_else(packed)
+            })
         };
         if let Some(error) = foreign::mistaken(root).or_else(binary) {
             return Err(error);
@@ -356,7 +368,14 @@ fn check_any(path: &Path, root: &Path, models: &[ModelLocation]) -> Result<(), P
     if !models.is_empty() {
         return Ok(());
     }
-    if let Some(error) = foreign::of_other_program(path, root) {
+    let below = sub_folders(root)
+        .into_iter()
+        .filter(|folder| is_searched(folder));
+    let below: Vec<PathBuf> = below
+        .flat_map(|folder| with_sub_folders(&folder))
+        .take(MOST_FOLDERS)
+        .collect();
+    if let Some(error) = foreign::of_other_program(path, root, &below) {
         return Err(error);
     }
     let colmap = "cameras, images and points3D (.bin or .txt) here, in sparse, colmap and distorted, and two folders below";

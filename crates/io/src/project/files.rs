@@ -22,6 +22,24 @@ use crate::{
 /// Required files of a COLMAP model.
 pub(super) const REQUIRED: [&str; 3] = ["cameras", "images", "points3D"];
 
+/// Bytes of a list of cameras that show whose it is.
+const START: u64 = 4096;
+
+/// Returns whether a text file has COLMAP's cameras, by its first one; true for one without any.
+pub(super) fn are_cameras(path: &Path) -> bool {
+    let start = input::read_start(path, FileKind::Sparse, START).unwrap_or_default();
+    let start = String::from_utf8_lossy(&start);
+    let mut lines = start.trim_start_matches('\u{feff}').lines().map(str::trim);
+    let first = lines.find(|line| !line.is_empty() && !line.starts_with('#'));
+    let is_of_name = |byte: u8| byte.is_ascii_uppercase() || byte.is_ascii_digit() || byte == b'_';
+    first.is_none_or(|first| {
+        let mut words = first.split_whitespace();
+        let (id, model) = (words.next(), words.next());
+        id.is_some_and(|id| id.parse::<u32>().is_ok())
+            && model.is_some_and(|model| model.bytes().all(is_of_name))
+    })
+}
+
 /// Reads a regular file. It is not memory-mapped: another process that truncated it would crash
 /// this one.
 pub(super) fn read(path: &Path) -> Result<Vec<u8>, ProjectError> {

@@ -9,7 +9,10 @@ use std::{
 
 pub(super) use self::read::read;
 use self::read::{bundler_list, sure_cloud};
-use super::{ModelContents, ModelFormat, ModelLocation, ProjectError, complete::cloud_beside};
+use super::{
+    ModelContents, ModelFormat, ModelLocation, ProjectError, complete::cloud_beside,
+    files::REQUIRED,
+};
 use crate::{
     formats::{Place, Problem, cloud},
     input,
@@ -65,27 +68,69 @@ pub(super) fn in_binary(root: &Path) -> Option<ProjectError> {
     })
 }
 
-/// Files of programs that hold no model for others: extension, what it is, and what to do.
-const OTHER_FILES: [(&str, &str, &str); 11] = [
-    ("psx", METASHAPE, EXPORT_CAMERAS),
-    ("psz", METASHAPE, EXPORT_CAMERAS),
-    ("rsproj", REALITY, EXPORT_REGISTRATION),
-    ("rcproj", REALITY, EXPORT_REGISTRATION),
+/// Files of programs that hold no model for others: their names, in lower case, what they are, and
+/// what to do.
+const OTHER_FILES: [(&str, &str, &str); 36] = [
+    ("*.psx", METASHAPE, EXPORT_CAMERAS),
+    ("*.psz", METASHAPE, EXPORT_CAMERAS),
+    ("*.rsproj", REALITY, EXPORT_REGISTRATION),
+    ("*.rcproj", REALITY, EXPORT_REGISTRATION),
+    ("*.p4d", PIX4D, EXPORT_OPF),
     (
-        "db",
+        "*_calibrated_camera_parameters.txt",
+        PIX4D_CAMERAS,
+        EXPORT_OPF,
+    ),
+    (
+        "*_calibrated_external_camera_parameters*.txt",
+        PIX4D_CAMERAS,
+        EXPORT_OPF,
+    ),
+    (
+        "*_calibrated_internal_camera_parameters*.cam",
+        PIX4D_CAMERAS,
+        EXPORT_OPF,
+    ),
+    ("*_pmatrix.txt", PIX4D_CAMERAS, EXPORT_OPF),
+    ("*.opf", "a project in Pix4D's OPF", CONVERT_OPF),
+    (
+        "*.db",
         "a database, such as COLMAP's of features and matches, but no model",
         "make a model from it: colmap mapper",
     ),
-    ("las", CLOUD, WITH_CAMERAS),
-    ("laz", CLOUD, WITH_CAMERAS),
-    ("e57", CLOUD, WITH_CAMERAS),
-    ("pts", CLOUD, WITH_CAMERAS),
     (
-        "ply",
+        "poses_bounds.npy",
+        "the poses of LLFF, without sparse points",
+        FROM_COLMAP,
+    ),
+    ("cameras_sphere.npz", CAMERAS, FROM_COLMAP),
+    ("cameras.npz", CAMERAS, FROM_COLMAP),
+    ("*_pose*.txt", POSES, WITH_POINTS),
+    ("*_pose*.csv", POSES, WITH_POINTS),
+    ("*.pose.txt", POSES, WITH_POINTS),
+    ("pose*.txt", POSES, WITH_POINTS),
+    ("pose*.csv", POSES, WITH_POINTS),
+    ("pose*.npy", POSES, WITH_POINTS),
+    ("*groundtruth.txt", POSES, WITH_POINTS),
+    ("*traj*.txt", POSES, WITH_POINTS),
+    ("*_cam.txt", CAMERAS, FROM_COLMAP),
+    ("cameras.json", CAMERAS, FROM_COLMAP),
+    ("cameras.csv", CAMERAS, WITH_POINTS),
+    ("cameras.txt", CAMERAS, WITH_POINTS),
+    ("*.las", CLOUD, WITH_CAMERAS),
+    ("*.laz", CLOUD, WITH_CAMERAS),
+    ("*.e57", CLOUD, WITH_CAMERAS),
+    ("*.pts", CLOUD, WITH_CAMERAS),
+    (
+        "*.ply",
         "a point cloud or a mesh, without the cameras",
         WITH_CAMERAS,
     ),
-    ("zip", "a ZIP archive", "unpack it, and name its folder"),
+    ("*.zip", "a ZIP archive", UNPACK),
+    ("*.7z", "a 7-Zip archive", UNPACK),
+    ("*.tgz", "an archive of tar", UNPACK),
+    ("*.tar", "an archive of tar", UNPACK),
+    ("*.tar.*", "an archive of tar", UNPACK),
 ];
 /// Pictures of a folder as Windows shows them.
 const THUMBNAILS: &str = "thumbs.db";
@@ -95,32 +140,123 @@ const EXPORT_CAMERAS: &str = "export the cameras as XML beside it (File > Export
 const REALITY: &str = "a RealityScan (RealityCapture) project, which only RealityScan reads";
 const EXPORT_REGISTRATION: &str =
     "export the registration as COLMAP's text format, with the images undistorted";
+const PIX4D: &str = "a Pix4D project, which only Pix4D reads";
+const PIX4D_CAMERAS: &str = "a list of Pix4D's cameras, without sparse points";
+const EXPORT_OPF: &str = "export the project as OPF (PIX4Dmatic), and convert that to a model of COLMAP: opf2colmap, of pip install \"pyopf[tools]\"";
+const CONVERT_OPF: &str =
+    "convert it to a model of COLMAP: opf2colmap, of pip install \"pyopf[tools]\"";
+const POSES: &str = "a list of poses, by its name, without sparse points";
+const CAMERAS: &str = "a list of cameras, by its name, without sparse points";
+const FROM_COLMAP: &str = "name the folder of the COLMAP model that it was made from, or make one from the photographs (colmap automatic_reconstructor)";
+const WITH_POINTS: &str = "a plan needs sparse points, too: triangulate them from the poses (colmap point_triangulator), or make a model from the photographs (colmap automatic_reconstructor)";
+const UNPACK: &str = "unpack it, and name its folder";
 const CLOUD: &str = "a point cloud, without the cameras";
 const WITH_CAMERAS: &str =
     "a plan needs the cameras: name the folder with the model of structure from motion";
 
-/// The file of another program that a path names, else the first one in its folder, for the fault
-/// of a folder without any model.
-pub(super) fn of_other_program(path: &Path, root: &Path) -> Option<ProjectError> {
-    let kind = |path: PathBuf| {
-        let extension = path.extension()?.to_str()?.to_ascii_lowercase();
-        let kinds = OTHER_FILES.iter().zip(0..);
-        let (&(_, what, cure), rank) =
-            kinds.into_iter().find(|((own, ..), _)| *own == extension)?;
-        let mistaken = Mistaken { what, cure };
-        Some((rank, ProjectError::Mistaken { path, mistaken }))
-    };
+/// The file of another program that a path names, else the first one in its folder, else in the
+/// `folders` below, for the fault of a folder without any model.
+pub(super) fn of_other_program(
+    path: &Path,
+    root: &Path,
+    below: &[PathBuf],
+) -> Option<ProjectError> {
     if path.is_file() {
-        return kind(path.into()).map(|(_, error)| error);
+        return kind(path).map(|(_, error)| error);
     }
-    let names = file_names(root).into_iter();
-    let names = names.filter(|name| !name.eq_ignore_ascii_case(THUMBNAILS));
-    let paths = names
-        .map(|name| root.join(name))
-        .filter(|path| path.is_file());
-    let found = paths.filter_map(kind);
-    let first = found.min_by_key(|(rank, _): &(u32, _)| *rank);
-    first.map(|(_, error)| error)
+    let folders = [root].into_iter().chain(below.iter().map(PathBuf::as_path));
+    let mut in_folders = folders.filter_map(|folder| {
+        let names = file_names(folder).into_iter();
+        let names = names.filter(|name| !name.eq_ignore_ascii_case(THUMBNAILS));
+        let found = names.filter_map(|name| kind(&folder.join(name)));
+        found.min_by_key(|(rank, _): &(u32, _)| *rank)
+    });
+    in_folders.next().map(|(_, error)| error)
+}
+
+/// What a file of another program is, and its place in [`OTHER_FILES`].
+fn kind(path: &Path) -> Option<(u32, ProjectError)> {
+    let name = path.file_name()?.to_str()?.to_lowercase();
+    let mut kinds = OTHER_FILES.iter().zip(0..);
+    let (&(_, what, cure), rank) = kinds.find(|((pattern, ..), _)| fits(&name, pattern))?;
+    let (path, mistaken) = (path.to_path_buf(), Mistaken { what, cure });
+    path.is_file()
+        .then_some((rank, ProjectError::Mistaken { path, mistaken }))
+}
+
+/// Returns whether a name fits a pattern, in which `*` stands for anything.
+fn fits(name: &str, pattern: &str) -> bool {
+    let Some((start, rest)) = pattern.split_once('*') else {
+        return name == pattern;
+    };
+    let Some(mut left) = name.strip_prefix(start) else {
+        return false;
+    };
+    let (between, end) = rest.rsplit_once('*').unwrap_or(("", rest));
+    for part in between.split('*') {
+        match left.find(part) {
+            Some(at) => left = &left[at + part.len()..],
+            None => return false,
+        }
+    }
+    left.ends_with(end)
+}
+
+/// The first file of a model in a folder that is compressed, if its name without that ending `is_wanted`.
+pub(super) fn packed(folder: &Path, is_wanted: impl Fn(&str) -> bool) -> Option<ProjectError> {
+    let names = file_names(folder);
+    let packed = |name: &String| {
+        let (_, mistaken) = unpacked(name).filter(|(stem, _)| is_wanted(stem))?;
+        let path = folder.join(name);
+        path.is_file()
+            .then_some(ProjectError::Mistaken { path, mistaken })
+    };
+    names.iter().find_map(packed)
+}
+
+/// Endings of compressed files, what they are, and what unpacks them.
+const PACKED: [(&str, &str, &str); 4] = [
+    (
+        ".gz",
+        "compressed with gzip",
+        "unpack it and those beside it: gunzip *.gz, or 7-Zip on Windows",
+    ),
+    (
+        ".bz2",
+        "compressed with bzip2",
+        "unpack it and those beside it: bunzip2 *.bz2, or 7-Zip on Windows",
+    ),
+    (
+        ".xz",
+        "compressed with xz",
+        "unpack it and those beside it: unxz *.xz, or 7-Zip on Windows",
+    ),
+    (
+        ".zst",
+        "compressed with Zstandard",
+        "unpack it and those beside it: unzstd *.zst",
+    ),
+];
+
+/// The name of a compressed file without that ending, and what to do.
+fn unpacked(name: &str) -> Option<(&str, Mistaken)> {
+    PACKED.iter().find_map(|&(ending, what, cure)| {
+        let stem = name.strip_suffix(ending)?;
+        Some((stem, Mistaken { what, cure }))
+    })
+}
+
+/// Returns whether a file of this name is a model, or a part of one of COLMAP's.
+pub(super) fn is_of_model(name: &str) -> bool {
+    let is_model = |(_, extension)| MODEL_EXTENSIONS.contains(&extension);
+    is_of_colmap(name) || name == "sfm_data.bin" || name.rsplit_once('.').is_some_and(is_model)
+}
+
+/// Returns whether a model of COLMAP has a file of this name.
+pub(super) fn is_of_colmap(name: &str) -> bool {
+    name.rsplit_once('.').is_some_and(|(stem, extension)| {
+        ["bin", "txt"].contains(&extension) && REQUIRED.contains(&stem)
+    })
 }
 
 /// Extensions of model files, of which some are recognised by what is in them.
