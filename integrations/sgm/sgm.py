@@ -271,6 +271,39 @@ class Report:
         write_whole(path, lambda file: file.write(json.dumps(content, indent=1).encode("utf-8", "surrogateescape")))
 
 
+class Marks:
+    """WORKSPACE/done, which says what a finished map is made from, as `viewrank run` reads and writes it.
+
+    Only of the maps of the export in WORKSPACE: its clusters, at its image scale, where `viewrank run` looks for them."""
+
+    def __init__(self, args, workspace):
+        self.folder, self.listed = workspace.folder / "done", {}
+        if args.clusters is None or args.clusters.resolve() != (workspace.folder / "clusters.txt").resolve():
+            return
+        try:
+            text = read_record(workspace.folder / "marks.tsv")
+        except OSError:
+            return
+        refuse_links(self.folder)
+        maps = (args.out / "depth_maps").resolve()
+        for line in text.splitlines():
+            mark, made_from, scale, path = line.split("\t", 3)
+            if not re.fullmatch("[0-9a-f]+", mark):  # or it would lead elsewhere
+                raise InputError(f"{workspace.folder / 'marks.tsv'}: {mark} is no mark. Export again")
+            folder, _, name = path.partition("/depth_maps/")
+            if float(scale) == args.image_scale and (workspace.folder / folder / "depth_maps").resolve() == maps:
+                self.listed[name.removesuffix(".npy")] = (mark, made_from)
+
+    def add(self, key):
+        if key in self.listed:
+            mark, made_from = self.listed[key]
+            write_whole(self.folder / mark, lambda file: file.write(made_from.encode() + b"\n"))
+
+    def remove(self, key):
+        if key in self.listed:
+            (self.folder / self.listed[key][0]).unlink(missing_ok=True)
+
+
 # ------------------------------------------------------------------------------------------------------------- the loop
 
 
@@ -366,13 +399,25 @@ def match(args):
     settings = {"version": VERSION, "image_scale": args.image_scale, "sigma_px": SIGMA_PX, "min_agree": MIN_AGREE}
     report = Report(args.out, settings, kept_by_plan(workspace), single=args.rank is not None)
     sizes = {size: Workspace(args.workspace, args.image_scale * size) for size in {size for *_, size in clusters}}
-    todo = [c for c in clusters if not report.finished(*c, made_of(sizes[c[2]], *c[:2]))]
+    marks = Marks(args, workspace)
+    todo = []
+    for cluster in clusters:
+        made = made_of(sizes[cluster[2]], *cluster[:2])
+        if not report.finished(*cluster, made):
+            marks.remove(cluster[0])
+            todo.append(cluster)
+        elif report.rows[cluster[0]].get("made_of") == made:
+            marks.add(cluster[0])
     report.begin(key for key, *_ in todo)
     print(f"{len(clusters)} key views, {len(clusters) - len(todo)} finished before; {sum(len(p) for _, p, _ in todo)} pairs to do", file=sys.stderr)
     line = Line(len(todo))
 
     def done(row):
-        report.restore(row["key"]) if "failed" in row else report.add(row)
+        if "failed" in row:
+            report.restore(row["key"])
+        else:
+            report.add(row)
+            marks.add(row["key"])
         line.step(row)
 
     report.stopped = "interrupted"

@@ -55,6 +55,24 @@ def test_one_command_plans_matches_and_reports(run, viewrank, valley):
     assert "Computing 3 of 28 depth maps, 3 of them there already (--budget 3)" in out
 
 
+def test_it_goes_on_from_the_maps_of_the_script(run, viewrank, valley):
+    viewrank("plan", valley, "--backend", "sgm", "--budget", "3", "--confidence", "geometric")
+    export = valley / "viewrank/sgm"
+    match, _ = json.loads((export / "export.json").read_text())["commands"]
+    subprocess.run([sys.executable, *match.split()[1:], "--stop-at", "2"], cwd=export, check=True, capture_output=True)
+    of_script = {path: path.stat().st_mtime_ns for path in (valley / "sgm/depth_maps").glob("*.npy")}
+    assert len(of_script) == len(list((export / "done").iterdir())) == 2
+    done = lambda: json.loads(viewrank("status", valley, "--format", "json").stdout)["projects"][0].get("done", 0)
+    assert done() == 2
+    out, err = run(valley, "--backend", "sgm", "--budget", "3", "--no-report")
+    assert "Computing 3 of 28 depth maps, 2 of them there already" in out + err
+    assert {path: path.stat().st_mtime_ns for path in of_script} == of_script and done() == 3
+    # Maps of another size are none of the plan's.
+    shutil.rmtree(export / "done")
+    subprocess.run([sys.executable, *match.split()[1:-1], "0.2"], cwd=export, check=True, capture_output=True)
+    assert not (export / "done").exists()
+
+
 def test_it_goes_on_where_maps_give_less_than_planned(run, valley, tmp_path):
     matcher = Path(__file__).resolve().parents[2] / "integrations/sgm/sgm.py"
     # The first six maps lose all but a quarter.

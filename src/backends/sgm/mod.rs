@@ -11,6 +11,7 @@ use super::{
     Backend, BackendError, Call, Capabilities, ExaminedProject, Export, ExportOptions,
     ExportRecord, Honours, LastRun, PlanningNumbers, Product, Selection, TaskProgram, TaskRunner,
     Tasks, Trap,
+    clusters::{task_ids, task_marker},
     error::check_length,
     runner::{finishes_itself, is_not_empty, words},
     semi_global::{self, CONFIDENCE, PHOTOMETRIC},
@@ -124,7 +125,7 @@ fn check_name(name: &str) -> Result<(), BackendError> {
 }
 
 fn tasks(selection: &Selection, _: &Export) -> TaskRunner {
-    let out = selection.project.home.join("sgm");
+    let out = selection.project.home.join(RESULTS);
     let map = |c: &RankedCluster| {
         Some(out.join(format!("depth_maps/{}.npy", selection.scene.name(c.key))))
     };
@@ -142,7 +143,7 @@ fn tasks(selection: &Selection, _: &Export) -> TaskRunner {
 }
 
 fn commands(call: &Call) -> Result<Vec<Vec<OsString>>, String> {
-    let out = call.project.join("sgm");
+    let out = call.project.join(RESULTS);
     let command = |what: &str, options: &[&dyn AsRef<OsStr>]| {
         let mut command = words([
             &call.python,
@@ -181,10 +182,10 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     record.way = "COLMAP workspace, pair files".into();
     let scale = selection.image_scale;
     let mut files = options.file_set(&BACKEND, selection);
+    let results = results(selection, &files);
+    let out = results.as_deref().unwrap_or("depth_maps");
     let command = |what| {
-        format!(
-            "python3 sgm.py {what} . --clusters clusters.txt --out depth_maps --image-scale {scale}"
-        )
+        format!("python3 sgm.py {what} . --clusters clusters.txt --out {out} --image-scale {scale}")
     };
     record.commands = vec![command("match"), command("fuse")];
     record.fusion =
@@ -195,9 +196,35 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     for (name, text) in semi_global::pair_files(BACKEND.name, selection)? {
         files.add_text(name, text);
     }
+    if let Some(results) = results {
+        files.add_text(MARKS, marks(selection, &results));
+    }
     add_model(selection, &mut files)?;
     add_pictures(selection, images, &mut files);
     Ok(Export::new(files, record))
+}
+
+/// List of the marks that `sgm.py` writes, for `viewrank run` to go on from its maps.
+const MARKS: &str = "marks.tsv";
+/// Folder of the results in the project.
+const RESULTS: &str = "sgm";
+
+/// Returns the path from the export to the results of `viewrank run`; `None` for an export
+/// elsewhere, which that does not look at.
+fn results(selection: &Selection, files: &FileSet) -> Option<String> {
+    let export = files.root.strip_prefix(&selection.project.home).ok()?;
+    Some("../".repeat(export.components().count()) + RESULTS)
+}
+
+/// Returns a line per map: mark TAB its content TAB size of the images over the model's TAB path.
+fn marks(selection: &Selection, results: &str) -> String {
+    let scale = selection.image_scale;
+    let line = |cluster: &RankedCluster| {
+        let key = selection.scene.name(cluster.key);
+        let ([id, _], mark) = (task_ids(&BACKEND, selection, cluster), task_marker(key));
+        format!("{mark}\t{id}\t{scale}\t{results}/depth_maps/{key}.npy\n")
+    };
+    selection.clusters.iter().map(line).collect()
 }
 
 /// Adds the model as it was planned: completed, without distortion, and with plain names.

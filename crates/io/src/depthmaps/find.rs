@@ -145,7 +145,12 @@ pub fn folder_of(project: &Path, dense: Option<&Path>, kind: &str) -> Option<Pat
         other => vec![project.join(other)],
     };
     candidates.retain(|folder| !paths::is_outside(folder, project));
-    let there = candidates.iter().find(|folder| folder.is_dir());
+    // Its export is in a folder of its name, too, but its maps are not in that.
+    let is_there = |folder: &&PathBuf| match kind {
+        "sgm" => folder.join("depth_maps").is_dir(),
+        _ => folder.is_dir(),
+    };
+    let there = candidates.iter().find(is_there);
     there.or(candidates.first()).cloned()
 }
 
