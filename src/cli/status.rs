@@ -9,7 +9,10 @@ use std::{
 };
 
 use crate::{
-    apps::replan::{EarlierPlan, MapFolder},
+    apps::{
+        dispatch::Dispatch,
+        replan::{EarlierPlan, MapFolder},
+    },
     backends::{self, known_maps},
     base::{
         error::{Advice, Hint, shortened},
@@ -29,7 +32,7 @@ use crate::{
     },
     model::scene::Scene,
     show::{
-        manifest::{self, PlannedMaps, planned_maps, planned_workspace},
+        manifest::{self, PlannedMaps, WrittenPlan, planned_maps, planned_workspace},
         share::area_of_all,
     },
 };
@@ -193,10 +196,14 @@ impl MapsThere {
             ready: &|_| true,
             known: &known,
         };
+        let by_run = maps_of_run(home, backend);
         let counts = |map: &&DepthMapFile| {
             let key = scene.name(map.view);
-            let earlier = earlier.as_ref();
-            earlier.is_some_and(|earlier| maps.counts(key, &map.path, earlier))
+            match (&by_run, &earlier) {
+                (Some(by_run), _) => by_run.contains(&paths::real(&map.path)),
+                (None, Some(earlier)) => maps.counts(key, &map.path, earlier),
+                (None, None) => false,
+            }
         };
         let (counted, unknown): (Vec<_>, Vec<_>) = found.iter().partition(counts);
         let unknown = (
@@ -227,6 +234,17 @@ impl MapsThere {
             others,
         })
     }
+}
+
+/// The depth maps that `viewrank run` counts as finished; `None` for a program that it does not run
+/// view by view, and where the plan cannot be exported again.
+fn maps_of_run(home: &Path, backend: &str) -> Option<BTreeSet<PathBuf>> {
+    let backend = backends::by_name(backend).ok()?;
+    backend.tasks?;
+    let plan = WrittenPlan::read(home).ok()?;
+    let (dispatch, _) = Dispatch::of_plan(&plan, backend, plan.cut).ok()?;
+    let maps = dispatch.finished_maps().map(paths::real);
+    Some(maps.collect())
 }
 
 /// Says of finished depth maps that the plan was made around and that are not there that they do not
