@@ -17,6 +17,7 @@ use crate::{
     base::{
         advice::on_command_line,
         error::{Advice, Hint},
+        paths,
         progress::{Stage, Watcher},
         shell::{command_path, shown_path},
     },
@@ -305,8 +306,11 @@ fn planned(
         output::recover(&project.home, &project.disk())?;
     }
     let finished = match &arguments.finished {
-        // Whoever names a folder vouches for its maps.
-        Some(folder) => Some((folder.clone(), earlier(project)?, None)),
+        // Whoever names a folder vouches for its maps, unless they are another program's.
+        Some(folder) => {
+            let known = not_of_others(&plan, project, folder);
+            Some((folder.clone(), earlier(project)?, known))
+        }
         None => own_maps(&plan, project),
     };
     let Some((folder, earlier, known)) = finished else {
@@ -315,6 +319,36 @@ fn planned(
     let plan = around_finished(plan, &folder, &earlier, known, progress)?;
     warn_of_other_folder(&plan, project, &folder);
     Ok(plan)
+}
+
+/// Returns what tells depth maps in a folder from those that other programs than the plan's have made
+/// in the project, which do not count; `None`, with none of these. Names them.
+fn not_of_others(plan: &Plan, project: &Project, folder: &Path) -> Option<KnownMaps> {
+    let backend = plan.stages.backend;
+    let others = depthmaps::folders_of_others(&project.home, backend);
+    let others: Vec<PathBuf> = others.iter().map(|other| paths::real(other)).collect();
+    let named = paths::real(folder);
+    let looked_at = others.iter().filter_map(|other| {
+        if named.starts_with(other) {
+            Some(&named)
+        } else {
+            Some(other).filter(|other| other.starts_with(&named))
+        }
+    });
+    let maps = |folder: &PathBuf| depthmaps::list(folder, &plan.stages.scene);
+    let maps = looked_at.filter_map(|folder| Some(maps(folder).ok()?.maps.len()));
+    match maps.sum::<usize>() {
+        0 => return None,
+        n => warn(&format!(
+            "not counted for this plan for {backend}: {} in {}, since another program has made them",
+            counted(n, "depth map"),
+            shown_path(folder)
+        )),
+    }
+    Some(Box::new(move |map| {
+        let map = paths::real(map);
+        !others.iter().any(|other| map.starts_with(other))
+    }))
 }
 
 /// Says what to do with finished depth maps that are not where the plan's program writes its own:

@@ -37,6 +37,16 @@ impl Folder {
         }
     }
 
+    /// A depth map where sgm has its own, with its mark.
+    fn map_of_sgm(&self, project: &str, key: &str) {
+        self.write(&format!("{project}/sgm/depth_maps/{key}.npy"), npy());
+        let own = format!("{project}/viewrank/sgm");
+        let list = fs::read_to_string(self.at(&format!("{own}/marks.tsv"))).unwrap();
+        let of_key = |line: &&str| line.ends_with(&format!("/depth_maps/{key}.npy"));
+        let cells: Vec<&str> = list.lines().find(of_key).unwrap().split('\t').collect();
+        self.write(&format!("{own}/done/{}", cells[0]), cells[1]);
+    }
+
     fn status(&self, project: &str) -> Value {
         let path = self.at(project);
         let path = path.to_str().unwrap();
@@ -91,7 +101,7 @@ fn the_status_is_that_of_the_plan_whose_maps_are_computed() {
     assert!(folder.at("viewrank/manifest.json").is_file());
     let manifest = folder.json("dense/viewrank/manifest.json");
     let key = manifest["clusters"][0]["key"].as_str().unwrap();
-    folder.write(&format!("dense/viewrank/sgm/depth_maps/{key}.npy"), npy());
+    folder.map_of_sgm("dense", key);
     let status = folder.status(".");
     assert_eq!(
         (&status["done"], &status["clusters"]),
@@ -223,6 +233,53 @@ fn the_maps_of_another_program_are_named_and_do_not_count() {
 }
 
 #[test]
+fn the_maps_of_another_program_are_not_finished_ones_of_a_plan() {
+    let folder = Folder::new();
+    folder
+        .colmap("sparse/0", &ColmapModel::from_scene(&scene()))
+        .pictures(&scene(), |name| format!("images/{name}"));
+    let options = ["--backend", "openmvs", "--budget", "3"];
+    plan(&folder, ".", &options);
+    for view in views() {
+        folder.write(&format!("sgm/depth_maps/{view}.npy"), npy());
+        folder.write(&format!("own/{view}.npy"), npy());
+    }
+    let finished = |name: &str| {
+        let maps = folder.at(name).display().to_string();
+        let (code, _, stderr) = folder.plan(&[&options[..], &["--finished", &maps]].concat());
+        assert_eq!(code, 0, "{stderr}");
+        (
+            folder.finished("."),
+            stderr.contains("9 depth maps in") && stderr.contains("another program"),
+        )
+    };
+    assert_eq!(finished("sgm"), (0, true));
+    assert_eq!(finished("own"), (9, false));
+}
+
+#[test]
+fn maps_without_marks_count_no_more_in_the_status_than_in_a_run() {
+    let folder = Folder::new();
+    folder
+        .colmap("sparse/0", &ColmapModel::from_scene(&scene()))
+        .pictures(&scene(), |name| format!("images/{name}"));
+    plan(&folder, ".", &["--backend", "sgm", "--budget", "3"]);
+    for view in views() {
+        folder.write(&format!("sgm/depth_maps/{view}.npy"), npy());
+    }
+    let status = folder.status(".");
+    assert_eq!(status["state"], "planned", "{status}");
+    assert!(
+        status["note"].to_string().contains("9 depth maps"),
+        "{status}"
+    );
+    let manifest = folder.json("viewrank/manifest.json");
+    let key = manifest["clusters"][1]["key"].as_str().unwrap().to_owned();
+    folder.map_of_sgm(".", &key);
+    assert_eq!(folder.status(".")["done"], 1);
+}
+
+#[test]
 fn a_part_of_a_project_has_the_status_of_the_project() {
     let folder = Folder::new();
     folder
@@ -258,7 +315,7 @@ fn finished_maps_elsewhere_count_once_they_are_where_the_program_writes_them() {
     let status = folder.status(".");
     let note = status["note"].as_str().unwrap_or_default();
     assert!(note.contains("put it where sgm writes its own"), "{status}");
-    folder.write(&format!("viewrank/sgm/depth_maps/{key}.npy"), npy());
+    folder.write(&format!("sgm/depth_maps/{key}.npy"), npy());
     let status = folder.status(".");
     assert_eq!(status["done"], 1, "{status}");
     assert!(!status.to_string().contains("writes its own"), "{status}");
@@ -280,9 +337,10 @@ fn a_map_of_full_size_counts_where_half_is_planned() {
         .find(|row| row["problem"]["reference"] == view);
     row.unwrap()["id_at_full_size"] = "00ff".into();
     folder.write("stereo/viewrank/run.json", run.to_string());
-    let counted = |id: &str| {
+    let maps = folder.at("stereo/depth_maps");
+    let counts = |id: &str| {
         folder.write(&format!("stereo/viewrank/done/{}", cells[0]), id);
-        folder.status(".")["done"].as_u64().unwrap_or_default()
+        viewrank::backends::known_maps("colmap", &maps)(&maps.join(cells[2]))
     };
-    assert_eq!(["00fe", "00ff", cells[1]].map(counted), [0, 1, 1]);
+    assert_eq!(["00fe", "00ff", cells[1]].map(counts), [false, true, true]);
 }

@@ -123,6 +123,19 @@ pub fn folders(project: &Path) -> Vec<PathBuf> {
     folders
 }
 
+/// Those of the [`folders`] that are of other programs than this one, by their names. Whose maps are in
+/// `depth_maps` is not known.
+pub fn folders_of_others(project: &Path, program: &str) -> Vec<PathBuf> {
+    let is_own = |folder: &PathBuf| {
+        folder.ends_with(program)
+            || program == "colmap" && folder.ends_with(COLMAP)
+            || *folder == project.join("depth_maps")
+    };
+    let mut folders = folders(project);
+    folders.retain(|folder| !is_own(folder));
+    folders
+}
+
 fn folders_by_name(project: &Path, kind: &str) -> [PathBuf; 3] {
     [
         project.join(kind),

@@ -36,7 +36,7 @@ use crate::input::{self, FileKind};
 
 pub use find::{
     DepthMapFile, DepthMapSet, MICMAC_MARK, default_folders, files_of, files_with_depths, find,
-    folder_of, folders, ids_of, is_of_a_map, list, list_preferring,
+    folder_of, folders, folders_of_others, ids_of, is_of_a_map, list, list_preferring,
 };
 
 /// Depth map formats.
