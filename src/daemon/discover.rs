@@ -1,10 +1,11 @@
 //! Finds the projects under a root, at any depth, and their input folders.
 //!
 //! The names of its files make a folder a project: a COLMAP project or dense workspace (`sparse/`,
-//! with model files in it or one level below), a bare model (at least two of its files), an OpenMVS
-//! scene, a SURE project. The model may be incomplete. Folders inside a project are not searched
-//! for further projects. A folder that contains several projects, or a root that contains one, is
-//! not a project, whatever stray files it has, unless it has a `sparse` of its own.
+//! with model files in it or one level below), a bare model (at least two of its files), a model of
+//! another program, in the places where `viewrank plan` looks. The model may be incomplete. Folders
+//! inside a project are not searched for further projects. A folder that contains several projects,
+//! or a root that contains one, is not a project, whatever stray files it has, unless it has a
+//! `sparse` of its own.
 
 use std::{
     collections::{BTreeSet, HashSet},
@@ -15,7 +16,7 @@ use std::{
 
 use crate::{
     base::paths::sub_folders,
-    io::project::{FOLDERS_OF_PROGRAMS, MASKS, WORKSPACES},
+    io::project::{self, FOLDERS_OF_PROGRAMS, MASKS, WORKSPACES},
 };
 
 /// File names of a COLMAP model, without suffix.
@@ -90,9 +91,13 @@ impl Walk<'_> {
         }
         let before = (self.found.lengths(), self.links.len());
         let may_be_one = kind == FolderKind::MayBeProject;
+        let of_models = match kind {
+            FolderKind::MayBeProject => folders_of_models(&folder, self.follow_links),
+            _ => BTreeSet::new(),
+        };
         let (own, others): (Vec<_>, Vec<_>) = listing
             .below()
-            .partition(|name| may_be_one && is_workspace(name));
+            .partition(|name| may_be_one && (is_workspace(name) || of_models.contains(*name)));
         others
             .into_iter()
             .for_each(|name| self.enter(folder.join(name), depth + 1));
@@ -222,7 +227,8 @@ impl Listing {
             .iter()
             .any(|name| name.as_encoded_bytes().ends_with(b".mvs"));
         let bare_model = || self.model_files() >= 2 && !is_sub_model(folder);
-        if scene || self.holds_orientations(folder) || bare_model() {
+        let of_others = || !models_of_others(folder, follow_links).is_empty();
+        if scene || self.holds_orientations(folder) || bare_model() || of_others() {
             FolderKind::MayBeProject
         } else {
             FolderKind::Folder
@@ -253,6 +259,24 @@ impl Listing {
             .filter_map(|name| model_file(name.to_str()?));
         stems.collect::<BTreeSet<_>>().len()
     }
+}
+
+/// The models of other programs in a folder, behind no link unless links are followed.
+fn models_of_others(folder: &Path, follow_links: bool) -> Vec<PathBuf> {
+    let mut models = project::models_of_other_programs(folder);
+    models.retain(|model| may_enter(folder, model, follow_links));
+    models
+}
+
+/// Names of the folders in a project in which its programs have its models.
+fn folders_of_models(project: &Path, follow_links: bool) -> BTreeSet<OsString> {
+    let first = |model: PathBuf| {
+        let mut parts = model.strip_prefix(project).ok()?.components();
+        let first = parts.next()?.as_os_str().to_owned();
+        project.join(&first).is_dir().then_some(first)
+    };
+    let models = models_of_others(project, follow_links);
+    models.into_iter().filter_map(first).collect()
 }
 
 /// True if `sparse` or a folder in it holds model files, or is unreadable and may hold some.
@@ -297,6 +321,8 @@ pub fn is_model_file(name: &str) -> bool {
 pub struct InputFolders {
     /// The project folder and its models.
     pub models: Vec<PathBuf>,
+    /// Model files of other programs than COLMAP.
+    pub of_others: Vec<PathBuf>,
     /// `images/` and the folders below it, without masks.
     pub images: Vec<PathBuf>,
     /// `masks/`, `images/masks/` and the folders below them.
@@ -316,6 +342,16 @@ impl InputFolders {
             models.push(sparse);
             models.push(above.join("ori"));
         }
+        let mut of_others = models_of_others(project, follow_links);
+        // An `Ori-` folder of MicMac is a model.
+        let folders = of_others.extract_if(.., |model| model.is_dir());
+        let oriented: Vec<PathBuf> = folders.collect();
+        of_others.extend(oriented.iter().flat_map(|folder| orientations_in(folder)));
+        models.extend(
+            of_others
+                .iter()
+                .filter_map(|model| Some(model.parent()?.into())),
+        );
         let has_orientations =
             Listing::read(project).is_ok_and(|listing| listing.holds_orientations(project));
         let mut images = IMAGES.map(|name| folders_at(&project.join(name))).concat();
@@ -324,6 +360,7 @@ impl InputFolders {
         masks.extend(images.extract_if(.., |folder| folder.starts_with(&in_images)));
         let mut folders = Self {
             models,
+            of_others,
             images,
             masks,
             has_orientations,
@@ -331,6 +368,7 @@ impl InputFolders {
         for folders in [&mut folders.models, &mut folders.images, &mut folders.masks] {
             folders.retain(|folder| folder.is_dir() && may_enter(project, folder, follow_links));
             folders.sort();
+            folders.dedup();
         }
         folders
     }
@@ -349,6 +387,14 @@ pub fn may_enter(project: &Path, path: &Path, follow_links: bool) -> bool {
             .ancestors()
             .take_while(|above| *above != project)
             .all(|above| !above.is_symlink())
+}
+
+/// The files of an `Ori-` folder of MicMac.
+fn orientations_in(folder: &Path) -> Vec<PathBuf> {
+    let listing = Listing::read(folder).unwrap_or_default();
+    let is_one = |name: &&OsString| name.as_encoded_bytes().ends_with(b".xml");
+    let names = listing.files.iter().filter(is_one);
+    names.map(|name| folder.join(name)).collect()
 }
 
 fn folders_at(top: &Path) -> Vec<PathBuf> {
@@ -435,6 +481,64 @@ mod tests {
             );
         }
         assert!(found.unreadable.is_empty());
+    }
+
+    #[test]
+    fn models_of_all_programs_make_projects() {
+        let root = tempfile::tempdir().expect("a temporary folder");
+        let write = |path: &str, text: &str| {
+            touch(root.path(), path);
+            fs::write(root.path().join(path), text).expect("a temporary file");
+        };
+        for path in [
+            "odm/opensfm/reconstruction.json",
+            "meshroom/MeshroomCache/StructureFromMotion/0a1b/cameras.sfm",
+            "micmac/Ori-All/Orientation-a.jpg.xml",
+            "mve/synth_0.out",
+            "nerf/transforms.json",
+            "mvg/sfm_data.json",
+            "vsfm/a.nvm",
+            "queue/nohup.out",
+            "other/a.xml",
+        ] {
+            touch(root.path(), path);
+        }
+        write("bundler/bundle/bundle.out", "# Bundle file v0.3\n");
+        write("metashape/cameras.xml", "<document><chunk/></document>");
+        write("blocks/blocks.xml", "<BlocksExchange version=\"3.2\">");
+        let expected = [
+            "blocks",
+            "bundler",
+            "meshroom",
+            "metashape",
+            "micmac",
+            "mve",
+            "mvg",
+            "nerf",
+            "odm",
+            "vsfm",
+        ];
+        assert_eq!(projects(root.path(), false), expected);
+        // Each of them may be watched itself.
+        for project in expected {
+            let project = root.path().join(project);
+            let found = walk(&project, std::slice::from_ref(&project), false, &|| {});
+            assert_eq!(found.projects, [&*project]);
+            let input = InputFolders::find(&project, false);
+            assert_eq!(input.of_others.len(), 1, "{}", project.display());
+        }
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_model_of_another_program_behind_a_link_is_none_unless_asked() {
+        let outside = tempfile::tempdir().expect("a temporary folder");
+        touch(outside.path(), "a.nvm");
+        let root = tempfile::tempdir().expect("a temporary folder");
+        touch(root.path(), "p/readme");
+        symlink(outside.path().join("a.nvm"), root.path().join("p/a.nvm")).expect("a link");
+        assert!(projects(root.path(), false).is_empty());
+        assert_eq!(projects(root.path(), true), ["p"]);
     }
 
     #[test]

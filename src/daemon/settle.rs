@@ -160,6 +160,12 @@ impl Stamp {
             let files = stamp.entries(folder, is_input);
             stamp.files.extend(files);
         }
+        for model in &folders.of_others {
+            if let Ok(found) = fs::metadata(model) {
+                let entry = Entry::from_metadata(&found);
+                stamp.files.insert(model.clone(), entry);
+            }
+        }
         for folder in &folders.masks {
             let files = stamp.entries(folder, |_| true);
             stamp.beside.extend(files);

@@ -192,6 +192,45 @@ fn nvm(models: &[usize]) -> String {
     text + "0\n"
 }
 
+/// The views of a scene as nerfstudio's, which look along -z with y up.
+fn transforms(scene: &Scene) -> String {
+    let frame = |view: &viewrank_core::model::scene::View| {
+        let pose = &view.cam_from_world;
+        let (turned, centre) = (pose.rotation.inverse(), pose.centre());
+        let row = |i: usize| {
+            let m = turned.matrix();
+            let (x, y, z) = (m[(i, 0)], -m[(i, 1)], -m[(i, 2)]);
+            format!("[{x},{y},{z},{}]", centre[i])
+        };
+        let rows = [0, 1, 2].map(row).join(",");
+        let name = &view.name;
+        format!(r#"{{"file_path":"images/{name}","transform_matrix":[{rows},[0,0,0,1]]}}"#)
+    };
+    let frames: Vec<String> = scene.views.iter().map(frame).collect();
+    let frames = frames.join(",");
+    format!(r#"{{"w":100,"h":75,"fl_x":85,"frames":[{frames}]}}"#)
+}
+
+#[test]
+fn a_model_of_any_program_is_planned_in_a_watched_folder() {
+    let folder = Folder::new();
+    folder
+        .write("site/transforms.json", transforms(&scene()))
+        .cloud("site/points3d.ply", &scene())
+        .pictures(&scene(), |name| format!("site/images/{name}"))
+        .write(
+            "site/viewrank.toml",
+            "confidence.source = 'geometric'\nbackends = ['openmvs']\n",
+        );
+    let root = folder.path().to_str().unwrap();
+    let (code, _, stderr) = said(&viewrank(&["watch", root, "--once"]));
+    assert_eq!(code, 0, "{stderr}");
+    let status = fs::read_to_string(folder.at("viewrank/status.json")).unwrap();
+    let status: serde_json::Value = serde_json::from_str(&status).unwrap();
+    assert_eq!(status["projects"][0]["project"], "site", "{status}");
+    assert!(folder.at("site/viewrank/manifest.json").is_file());
+}
+
 #[test]
 fn of_several_models_in_a_file_the_largest_is_read() {
     let folder = Folder::new();

@@ -174,6 +174,18 @@ fn folders_of_other_programs(root: &Path) -> Vec<PathBuf> {
         .collect()
 }
 
+/// The models of programs other than COLMAP that [`Project::open`] finds in a folder itself, by
+/// their names and first bytes. A `*.out` is one only if it says so: programs and queues give their
+/// logs this ending.
+pub fn models_of_other_programs(root: &Path) -> Vec<PathBuf> {
+    let folders = folders_of_other_programs(root).into_iter();
+    let models = folders.flat_map(|folder| foreign::listed(&folder));
+    models
+        .filter(|model| model.format != ModelFormat::Bundler || foreign::is_bundle(&model.path))
+        .map(|model| model.path)
+        .collect()
+}
+
 /// Finds the models further below a project, two folders deep, in the only folder that has any.
 fn models_below(root: &Path) -> Result<Found, ProjectError> {
     let (mut below, mut found) = (Vec::new(), Found::default());

@@ -363,6 +363,11 @@ fn xml_format(path: &Path) -> Option<ModelFormat> {
     }
 }
 
+/// Returns whether a file begins as those of Bundler do.
+pub(super) fn is_bundle(path: &Path) -> bool {
+    head(path).is_some_and(|head| head.trim_start().starts_with("# Bundle"))
+}
+
 /// The first bytes of a file, as text.
 fn head(path: &Path) -> Option<String> {
     let mut head = Vec::new();

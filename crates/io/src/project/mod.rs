@@ -26,7 +26,7 @@ use viewrank_core::model::scene::{ModelWarning, Scene, ViewIndex, WarningKind};
 
 pub use containing::containing;
 pub use create::CreateError;
-pub use discover::{FOLDERS_OF_PROGRAMS, WORKSPACES};
+pub use discover::{FOLDERS_OF_PROGRAMS, WORKSPACES, models_of_other_programs};
 pub use error::ProjectError;
 pub use files::ColmapFiles;
 pub use folder::{ImageFolder, MASKS};
