@@ -18,6 +18,7 @@ use crate::{
         depthmaps::{self, DepthMapError, DepthMapFormat},
         json::place_and_fault,
         output::{self, Contents, Disk},
+        paths,
     },
 };
 
@@ -106,6 +107,14 @@ impl<'a> Call<'a> {
             file: self.workplace.join(name),
             folder: self.project.clone(),
         }
+    }
+
+    /// Returns a link to a file that a task has made there. A link in its place may be a stranger's.
+    pub fn made(&self, name: &str) -> Result<Contents, String> {
+        if paths::is_outside(&self.workplace.join(name), self.workplace) {
+            return Err(format!("{name}: a link out of the export: remove it"));
+        }
+        Ok(self.link(name))
     }
 
     /// Moves what was made in [`Self::work`] to its place in the export. What nobody has marked

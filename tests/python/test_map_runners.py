@@ -274,6 +274,30 @@ def test_patchmatchnet_joins_maps_of_two_sizes_at_one(tmp_path, viewrank, plans)
     assert np.array_equal(pfm(path), values), "the map itself stays as it is"
 
 
+def test_a_map_that_leads_out_of_the_export_counts_as_none(site, tmp_path):
+    site.rank(1)
+    site.calls()
+    outside = tmp_path / "outside"
+    site.map(1).rename(outside)
+    site.map(1).symlink_to(outside)
+    content = outside.read_bytes()
+    site.rank(1)
+    assert site.calls() == site.keys()[:1] and not site.map(1).is_symlink() and outside.read_bytes() == content
+
+
+def test_confidences_that_lead_out_of_the_export_are_not_joined(tmp_path, viewrank, plans):  # noqa: F811
+    site = Net(tmp_path, viewrank, plans[4])
+    site.plan("-k", "4", "--budget", "3")
+    for rank in (1, 2, 3):
+        site.rank(rank)
+    path = site.export / "depths/confidence" / site.map(1).name
+    path.rename(tmp_path / "outside.pfm")
+    path.symlink_to(tmp_path / "outside.pfm")
+    site.calls()
+    done = site.run("--fuse", expect=1)
+    assert f"{path.relative_to(site.export)}: a link out of the export" in done.stdout + done.stderr and not site.calls()
+
+
 def test_maps_of_other_partners_are_made_anew_and_others_kept(site):
     for rank in (1, 2, 3):
         site.rank(rank)

@@ -29,7 +29,7 @@ use crate::{
     base::{
         error::{Advice, Hint},
         input::FileKind,
-        paths::absolute,
+        paths::{self, absolute},
         platform,
         shell::sh_word,
     },
@@ -308,7 +308,13 @@ impl Dispatch {
     /// Returns whether the task's depth map exists and either was made from this key view and these
     /// partners with their current poses, or is one that the plan was ranked around.
     pub fn is_done(&self, task: &Task) -> bool {
-        (task.rank <= self.finished || self.is_marked(task)) && (self.runner.is_whole)(&task.map)
+        (task.rank <= self.finished || self.is_marked(task)) && self.has_map(task)
+    }
+
+    /// Returns whether the task's depth map exists, in the workplace: a link out of it may be a
+    /// stranger's.
+    fn has_map(&self, task: &Task) -> bool {
+        !paths::is_outside(&task.map, &self.workplace) && (self.runner.is_whole)(&task.map)
     }
 
     /// Returns whether a task's depth map has its mark, from viewrank or from the script of the
@@ -342,9 +348,7 @@ impl Dispatch {
     pub fn has_maps_of(&self, keys: &[String]) -> bool {
         let keys: BTreeSet<&str> = keys.iter().map(String::as_str).collect();
         let counted = self.tasks.iter().filter(|task| keys.contains(&*task.key));
-        let mut are_there = counted
-            .map(|task| (self.runner.is_whole)(&task.map))
-            .peekable();
+        let mut are_there = counted.map(|task| self.has_map(task)).peekable();
         are_there.peek().is_some() && are_there.all(|is_there| is_there)
     }
 

@@ -88,7 +88,7 @@ impl Dispatch {
         if ended != TaskResult::Done {
             return Ok(ended);
         }
-        if !(self.runner().is_whole)(&task.map) {
+        if !self.has_map(task) {
             let message = format!("{} was not written", task.map.display());
             return Ok(TaskResult::Failed(message));
         }

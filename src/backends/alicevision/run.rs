@@ -129,7 +129,7 @@ pub fn commands(call: &Call) -> Result<Vec<Vec<OsString>>, String> {
 /// Adds the maps, and the scene of the views that have one, beside their images.
 fn lay_out_joining(rows: &[&Row], call: &Call, files: &mut FileSet) -> Result<(), String> {
     for path in rows.iter().flat_map(|row| row.made(call.workplace)) {
-        files.add(&*path, call.link(&path));
+        files.add(&*path, call.made(&path)?);
     }
     let images = fs::read_dir(call.workplace.join("images")).map_err(text)?;
     for name in images.filter_map(|entry| entry.ok()?.file_name().into_string().ok()) {

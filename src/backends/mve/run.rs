@@ -135,7 +135,7 @@ pub fn commands(call: &Call) -> Result<Vec<Vec<OsString>>, String> {
             for row in run.finished(call) {
                 run.add_views(row.pictures.iter().take(1), call, &mut files);
                 for path in row.made() {
-                    files.add(&*path, call.link(&path));
+                    files.add(&*path, call.made(&path)?);
                 }
             }
             let joining = program_beside(call.program, "scene2pset")?;

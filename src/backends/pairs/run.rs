@@ -259,10 +259,11 @@ fn add_maps<'a>(
     for row in rows {
         for kind in KINDS {
             let path = file_of(kind, row.key());
+            let linked = call.made(&path)?;
             let map = call.workplace.join(&path);
             let made = pfm::whole_size(&map).map_err(text)?;
             if made == row.fused_size {
-                files.add(&*path, call.link(&path));
+                files.add(&*path, linked);
                 continue;
             }
             let pixels = made.map(u64::from).iter().product();
