@@ -311,10 +311,12 @@ impl Dispatch {
         (task.rank <= self.finished || self.is_marked(task)) && self.has_map(task)
     }
 
-    /// Returns whether the task's depth map exists, in the workplace: a link out of it may be a
-    /// stranger's.
+    /// Returns whether the task's depth map exists, in the project or the workplace: a link out of
+    /// both may be a stranger's.
     fn has_map(&self, task: &Task) -> bool {
-        !paths::is_outside(&task.map, &self.workplace) && (self.runner.is_whole)(&task.map)
+        let ours = [&self.project, &self.workplace];
+        let is_ours = ours.iter().any(|of| !paths::is_outside(&task.map, of));
+        is_ours && (self.runner.is_whole)(&task.map)
     }
 
     /// Returns whether a task's depth map has its mark, from viewrank or from the script of the
