@@ -28,6 +28,8 @@ const LITTLE: f64 = 0.4;
 const UNSURE: f64 = 0.7;
 /// Eastings of UTM coordinates, metres; a zone is no wider.
 const EASTINGS: std::ops::Range<f64> = 100_000.0..900_000.0;
+/// One image in how many must be missing to be the first reason that little is reached.
+const MISSING: usize = 10;
 /// Depth maps that a warning names.
 const NAMED: usize = 3;
 
@@ -48,7 +50,8 @@ pub fn warnings(stages: &Stages, decision: &Decision, finished: &FinishedMaps) -
     warnings.extend(single_partner(stages));
     if stages.makes_maps {
         let is_unsure = is_unsure(stages, ranking.reachable, &cut.reachable_band);
-        let little = little_fulfilled(ranking, is_unsure.then_some(&cut.reachable_band));
+        let band = is_unsure.then_some(&cut.reachable_band);
+        let little = little_fulfilled(ranking, band, lacks_images(stages));
         let has_said_so = little.is_some();
         warnings.extend(little);
         warnings.extend(unconfirmed(stages, cut));
@@ -231,16 +234,25 @@ fn single_partner(stages: &Stages) -> Option<String> {
 
 /// Warns where all clusters together reach next to nothing: the plan's shares are relative to that.
 /// `band`: what they may give, where that is unsure.
-fn little_fulfilled(ranking: &Ranking, band: Option<&Band>) -> Option<String> {
+fn little_fulfilled(ranking: &Ranking, band: Option<&Band>, lacks_images: bool) -> Option<String> {
     let given = ranking.reachable;
     let band = band.map_or_else(String::new, |band| format!(" (likely {band})"));
+    let more = if lacks_images {
+        "the images that are missing or cannot be used come first, see below"
+    } else {
+        "a coarser --gsd, more partners (-k) or a --region without the background may give more"
+    };
     (!ranking.order.is_empty() && given < LITTLE).then(|| {
         format!(
-            "all images together can give only {:.0} %{band} of what is wanted, and shares are of that: the report says where and why; a \
-             coarser --gsd, more partners (-k) or a --region without the background may give more",
+            "all images together can give only {:.0} %{band} of what is wanted, and shares are of that: the report says where and why; {more}",
             100.0 * given
         )
     })
+}
+
+/// Returns whether a part of the images is missing that is felt.
+fn lacks_images(stages: &Stages) -> bool {
+    stages.without_image.len() * MISSING >= stages.scene.views.len()
 }
 
 /// Warns of a budget above all that there is, most likely counted in something else.

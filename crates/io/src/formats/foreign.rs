@@ -196,9 +196,14 @@ impl ForeignModel {
     }
 }
 
-/// Writes a name with `/` and without `.` and `..`, an absolute path of Windows with its drive as
-/// the first folder; returns for such a path whether it has a drive.
+/// Writes a name with `/` and without `.` and `..`, a URL of a file as its path, an absolute path of
+/// Windows with its drive as the first folder; returns for such a path whether it has a drive.
 fn normalise(name: &mut String) -> Option<bool> {
+    if let Some(path) = name.strip_prefix("file://") {
+        // `file:///D:/a.jpg` has a slash before the drive.
+        let below = path.trim_start_matches('/');
+        *name = if is_of_windows(below) { below } else { path }.to_owned();
+    }
     if is_of_windows(name) {
         let has_drive = !name.starts_with('\\');
         let slash = if has_drive { "/" } else { "" };
@@ -252,12 +257,13 @@ pub fn last_parts(name: &str) -> Vec<String> {
     if name.len() > LONGEST_NAME {
         return vec![name.to_owned()];
     }
-    let slashes = if is_of_windows(name) {
+    let is_absolute = name.starts_with('/');
+    let has_moved = is_of_windows(name) || is_absolute || name_parts(name).is_none();
+    let slashes = if has_moved && !is_absolute {
         name.replace('\\', "/")
     } else {
         name.to_owned()
     };
-    let has_moved = is_of_windows(name) || name.starts_with('/') || name_parts(name).is_none();
     let ends = slashes
         .rmatch_indices('/')
         .filter(|_| has_moved)
@@ -435,6 +441,14 @@ mod tests {
         assert_eq!(
             shortened(&[r"D:\photos\1\a.jpg", "D:/photos/2/b.jpg"]),
             of("1/a.jpg 2/b.jpg", "D:/photos/")
+        );
+        assert_eq!(
+            shortened(&["file:///D:/photos/1/a.jpg", "file:///D:/photos/2/b.jpg"]),
+            of("1/a.jpg 2/b.jpg", "D:/photos/")
+        );
+        assert_eq!(
+            shortened(&["file:///home/me/a.jpg"]),
+            of("a.jpg", "/home/me/")
         );
         assert_eq!(
             shortened(&[r"\\server\photos\a.jpg"]),

@@ -36,7 +36,11 @@ const MOST_PARTS: usize = 16;
 const MOST_FOLDERS: usize = 2000;
 /// Folders that hold images of these names which are no photographs of the model: results of
 /// viewrank and of MVS programs, reduced copies.
-const NOT_SEARCHED: [&str; 9] = [
+const NOT_SEARCHED: [&str; 13] = [
+    "@eaDir",
+    "preview",
+    "previews",
+    "thumbs",
     "viewrank",
     "dense",
     "stereo",
@@ -304,15 +308,38 @@ pub(super) fn find(
 }
 
 /// The folder that holds most of the names, of the usual places and those below the project, else
-/// of the reduced copies.
+/// of the reduced copies; one above it in the project if more of the images are in other folders
+/// there.
 fn searched(root: &Path, model: &Path, usual: &[PathBuf], names: &[String]) -> Option<PathBuf> {
     if names.is_empty() {
         return None;
     }
     let search = Names::new();
     let folders = [usual, &folders_below(root)].concat();
-    holding_most(&folders, names, &search)
-        .or_else(|| holding_most(&reduced(root, model), names, &search))
+    let best = holding_most(&folders, names, &search)
+        .or_else(|| holding_most(&reduced(root, model), names, &search))?;
+    let mut widest = (held_below(&best, names), best.clone());
+    let above = best.ancestors().skip(1);
+    for folder in above.take_while(|folder| folder.starts_with(root)) {
+        if widest.0 == names.len() {
+            break;
+        }
+        let held = held_below(folder, names);
+        if held > widest.0 {
+            widest = (held, folder.into());
+        }
+    }
+    Some(widest.1)
+}
+
+/// Number of the names of which a folder has the file, in whatever folder below it.
+fn held_below(folder: &Path, names: &[String]) -> usize {
+    let (there, missing): (Vec<&str>, Vec<&str>) = names
+        .iter()
+        .map(String::as_str)
+        .partition(|name| folder.join(name).is_file());
+    let missing: Vec<(&str, &str)> = missing.into_iter().map(|name| (name, name)).collect();
+    there.len() + others(folder, &missing, &there).found.len()
 }
 
 /// Returns whether a folder holds any of the names, in any spelling.
@@ -411,6 +438,21 @@ pub(super) mod tests {
         assert_eq!(
             found(&["images/flight 1/a.jpg"], &two),
             Some(("images/flight 1".into(), true))
+        );
+        let three = ["/home/x/1/a.jpg", "/home/x/1/b.jpg", "/home/x/2/c.jpg"];
+        assert_eq!(
+            found(
+                &["images/1/a.jpg", "images/1/b.jpg", "images/2/c.jpg"],
+                &three
+            ),
+            Some(("images".into(), false))
+        );
+        assert_eq!(
+            found(
+                &["images/a.png", "images/b.png", "images/thumbs/a.jpg"],
+                &two
+            ),
+            Some(("images".into(), false))
         );
         assert_eq!(
             found(&["raw/a.JPG", "raw/b.JPG", "some/a.jpg"], &two),

@@ -1,6 +1,6 @@
 //! Image files by their names: which files are images, and all images below a folder.
 
-use std::{collections::HashSet, path::Path};
+use std::{collections::HashSet, ffi::OsStr, path::Path};
 
 use walkdir::WalkDir;
 
@@ -16,12 +16,14 @@ const MASK: &str = "mask";
 pub(super) const MOST_ENTRIES: usize = 500_000;
 
 /// Returns the images in a folder and its sub-folders whose path, relative to it, `is_wanted`;
-/// sorted. Links to folders are not followed: they may lead anywhere.
+/// sorted. Links to folders are not followed: they may lead anywhere. Hidden folders have copies of
+/// programs.
 pub fn images_below(folder: &Path, is_wanted: impl Fn(&Path) -> bool) -> Vec<String> {
     let entries = WalkDir::new(folder)
         .follow_root_links(true)
         .sort_by_file_name()
         .into_iter()
+        .filter_entry(|entry| entry.depth() == 0 || !is_hidden(entry.file_name()))
         .take(MOST_ENTRIES);
     let images = entries
         .filter_map(Result::ok)
@@ -41,10 +43,13 @@ pub fn images_below(folder: &Path, is_wanted: impl Fn(&Path) -> bool) -> Vec<Str
     wanted
 }
 
+fn is_hidden(name: &OsStr) -> bool {
+    name.as_encoded_bytes().starts_with(b".")
+}
+
 /// True for names of image files; hidden ones are none (`._a.jpg`, which macOS writes beside
 /// `a.jpg`).
 pub fn is_image(path: &Path) -> bool {
-    let is_hidden = |name: &std::ffi::OsStr| name.as_encoded_bytes().starts_with(b".");
     if path.file_name().is_none_or(is_hidden) {
         return false;
     }
