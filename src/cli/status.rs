@@ -410,7 +410,7 @@ fn unwatched(progress: &Progress, plan: &PlannedMaps, later: usize) -> Vec<Strin
             "The target of {} is reached.",
             target_in_percent(target)
         )),
-        None => Some("The list is done.".into()),
+        None => Some("The plan is done.".into()),
     });
     lines.push("As last measured by `viewrank run`, `watch` or `evaluate`.".into());
     lines.extend(match later {

@@ -385,11 +385,11 @@ impl<'a> Summary<'a> {
         match self.cut.pairs_beyond_gate {
             0 => None,
             1 => Some(
-                "One pair is beyond the limits of [partners.gate], for want of a better partner."
+                "One pair is unlikely to match: there was no better partner (partners.gate)."
                     .into(),
             ),
             n => Some(format!(
-                "{} pairs are beyond the limits of [partners.gate], for want of better ones.",
+                "{} pairs are unlikely to match: there were no better partners (partners.gate).",
                 grouped(n)
             )),
         }

@@ -163,7 +163,7 @@ fn no_points(location: &ModelLocation) -> ModelWarning {
             "copy the points as PLY, in the coordinates of the cameras, beside transforms.json (ply_file_path names it), or plan the COLMAP model that they come from"
         }
         _ => {
-            "export the tie points or a cloud as PLY into the folder of the model, in the coordinates of the cameras (of a georeferenced chunk: EPSG:4978)"
+            "export the tie points or a cloud as PLY into the folder of the model, in the coordinates of the cameras (of a georeferenced chunk of Metashape: EPSG:4978)"
         }
     };
     ModelWarning::new(WarningKind::NoPoints, "the model has no points").with_cure(cure)

@@ -203,12 +203,15 @@ impl AsRef<Path> for ImageFolder {
 }
 
 pub(super) fn is_skipped(entry: &DirEntry) -> bool {
-    let name = entry.file_name().to_string_lossy();
+    entry.file_type().is_dir() && holds_no_photographs(&entry.file_name().to_string_lossy())
+}
+
+/// Returns whether a folder of this name holds no photographs of a model, but copies and results.
+pub(super) fn holds_no_photographs(name: &str) -> bool {
     let is_reduced = name
         .strip_prefix("images_")
         .is_some_and(|factor| factor.parse::<u32>().is_ok());
-    entry.file_type().is_dir()
-        && (name.starts_with('.') || is_reduced || NOT_SEARCHED.contains(&&*name))
+    name.starts_with('.') || is_reduced || NOT_SEARCHED.contains(&name)
 }
 
 /// Existing folders to which the model's image names may be relative, best first: the usual places,
