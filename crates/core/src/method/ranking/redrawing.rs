@@ -22,9 +22,9 @@ use crate::{
 
 /// Angle between two rays to a place, radians, at which an image helps to draw the other 1/e as
 /// much.
-const FALL: f32 = 40.0 / 180.0 * std::f32::consts::PI;
+const FALL: f32 = 60.0 / 180.0 * std::f32::consts::PI;
 /// Part of a place that an image from the same direction draws by itself.
-const ALONE: f32 = 0.5;
+const ALONE: f32 = 0.7;
 /// Power of an image's sharpness in what it draws.
 const SHARPNESS: f64 = 0.25;
 /// Pairs of views of one triangle that are compared, over all triangles; of more, every second,
