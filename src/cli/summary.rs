@@ -630,7 +630,10 @@ fn notes(project: &Project, plan: &Plan, place: &Georeference) -> Vec<String> {
 /// Says whether the positions in the images place the model on earth, if there are any.
 fn note_on_gps(project: &Project, plan: &Plan, place: &Georeference) -> Option<String> {
     match place {
-        Georeference::Fitted { support, .. } => Some(format!(
+        Georeference::Fitted {
+            support: Some(support),
+            ..
+        } => Some(format!(
             "On earth by the GPS of {} of {} images, {} m off in the median (not with --no-gps).",
             grouped(support.fitting),
             grouped(support.positions),

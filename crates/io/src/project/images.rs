@@ -13,7 +13,7 @@ use viewrank_core::{
 };
 
 use super::{
-    ImageFolder, Project, folder,
+    ImageFolder, MASKS, Project, folder,
     image_files::{images_below, without_masks},
     names::Names,
     probe::{Unread, probe, size_by_header},
@@ -447,9 +447,12 @@ pub(super) fn unregistered(folder: &ImageFolder, scene: &Scene) -> Vec<String> {
         .chain(folder.other_names().map(|(_, file)| file))
         .chain(folder.candidates());
     let registered: HashSet<PathBuf> = names.map(|name| in_folder(name, folder)).collect();
+    // What else a folder of masks has may be photographs.
+    let is_copy = |part: &str| part != MASKS && folder::holds_no_photographs(part);
     let may_be_one = |path: &Path| {
         let mut folders = path.parent().into_iter().flat_map(Path::components);
-        !folders.any(|part| folder::holds_no_photographs(&part.as_os_str().to_string_lossy()))
+        !path.starts_with(MASKS)
+            && !folders.any(|part| is_copy(&part.as_os_str().to_string_lossy()))
     };
     let mut photographs = without_masks(images_below(folder, may_be_one));
     photographs.retain(|name| !registered.contains(Path::new(name)));

@@ -25,12 +25,13 @@ pub enum Georeference {
         origin: Vector3<f64>,
         axes: Matrix3<f64>,
     },
-    /// Fitted to GPS positions of images: a point x of the model is `origin` + `axes` x in ECEF
-    /// coordinates; `axes` has the scale.
+    /// A point x of the model is `origin` + `axes` x in ECEF coordinates; `axes` has the scale.
     Fitted {
         origin: Vector3<f64>,
         axes: Matrix3<f64>,
-        support: Support,
+        /// The GPS positions of images that it was fitted to; `None`: the program that made the
+        /// model says so.
+        support: Option<Support>,
     },
     /// UTM: x + `offset[0]` is the easting, y + `offset[1]` the northing.
     Utm { zone: Zone, offset: [f64; 2] },
@@ -96,7 +97,7 @@ impl Georeference {
         Some(Self::Fitted {
             origin: centre + axes * similarity.translation,
             axes: axes * similarity.linear,
-            support,
+            support: Some(support),
         })
     }
 
@@ -134,8 +135,11 @@ impl Georeference {
                  (frame.utm or frame.origin in viewrank.toml gives it one)"
             }
             Self::Ecef => "earth-centred coordinates",
-            Self::Fitted { .. } => {
-                "a local frame, placed on earth by the GPS positions of the images"
+            Self::Fitted {
+                support: Some(_), ..
+            } => "a local frame, placed on earth by the GPS positions of the images",
+            Self::Fitted { support: None, .. } => {
+                "a local frame, placed on earth by the program that made the model"
             }
             Self::EastNorthUp { .. } => "metres east, north and up of an origin",
             Self::Utm { .. } => "UTM coordinates",

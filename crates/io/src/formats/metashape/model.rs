@@ -199,6 +199,11 @@ impl<'a> ChunkModel<'a> {
         let (mut foreign, components) = (self.foreign, self.components);
         Lens::warn(&self.lenses, &mut foreign);
         let (largest, others) = largest_component(components.iter().copied());
+        if self.frame == Frame::Chunk {
+            let transform = self.chunk.components.get(&*largest);
+            let transform = transform.or(self.chunk.transform.as_ref());
+            foreign.georeference = transform.and_then(Similarity::place);
+        }
         foreign.keep_images(|image| components[image] == largest);
         foreign.warn_of_others("components", &others);
         foreign

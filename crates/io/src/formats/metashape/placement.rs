@@ -1,6 +1,7 @@
 //! Poses of cameras in a chunk, and of a chunk or a component in the world.
 
 use nalgebra::{Matrix3, Vector3};
+use viewrank_core::model::georeference::{Geodetic, Georeference};
 
 use crate::formats::{Fault, Problem, colmap::StoredPose, foreign::pose_with_centre, xml::Element};
 
@@ -52,7 +53,20 @@ pub(super) struct Similarity {
     scale: f64,
 }
 
+/// Heights above the ellipsoid of what is surveyed, metres.
+const HEIGHTS: std::ops::Range<f64> = -20_000.0..20_000.0;
+
 impl Similarity {
+    /// The place on earth of a chunk that this leads from, if it leads to earth-centred coordinates.
+    pub fn place(&self) -> Option<Georeference> {
+        let height = Geodetic::from_ecef(&self.translation).height;
+        HEIGHTS.contains(&height).then(|| Georeference::Fitted {
+            origin: self.translation,
+            axes: self.rotation * self.scale,
+            support: None,
+        })
+    }
+
     pub fn read(transform: &Element) -> Result<Self, Fault> {
         let rotation = transform
             .child("rotation")

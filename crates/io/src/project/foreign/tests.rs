@@ -72,14 +72,38 @@ const PLY: &str = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\npr
 
 /// Metashape's cameras with a transform to the world by 1000 along x, and a point.
 fn metashape(point: &str) -> tempfile::TempDir {
+    metashape_at("<translation>1000 0 0</translation>", point)
+}
+
+fn metashape_at(transform: &str, point: &str) -> tempfile::TempDir {
     let xml = r#"<document version="2.0.0"><chunk><sensors><sensor id="0" type="frame"><resolution width="200" height="100"/><calibration><f>90</f>
-        </calibration></sensor></sensors><components><component id="0"><transform><translation>1000 0 0</translation></transform></component>
+        </calibration></sensor></sensors><components><component id="0"><transform>TRANSFORM</transform></component>
         </components><cameras><camera id="0" label="a" sensor_id="0" component_id="0"><transform>1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1</transform>
         </camera></cameras></chunk></document>"#;
     folder(&[
-        ("cameras.xml", xml),
+        ("cameras.xml", &xml.replace("TRANSFORM", transform)),
         ("points.ply", &format!("{PLY}{point}\n")),
     ])
+}
+
+#[test]
+fn a_georeferenced_chunk_of_metashape_is_on_earth_in_its_own_coordinates_too() {
+    let on_the_equator = "<translation>6378137 0 0</translation><scale>2</scale>";
+    let scene = |transform: &str| {
+        let folder = metashape_at(transform, "0 0 9");
+        let project = Project::open(&folder.path().join("cameras.xml"), None).unwrap();
+        project.read_scene().unwrap()
+    };
+    let place = scene(on_the_equator).georeference.unwrap();
+    assert_eq!(place.metres_per_unit(), Some(2.0));
+    let at = place
+        .geodetic(&nalgebra::Point3::new(50.0, 0.0, 0.0))
+        .unwrap();
+    assert!((at.height - 100.0).abs() < 1e-6, "{at:?}");
+    assert_eq!(
+        scene("<translation>1000 0 0</translation>").georeference,
+        None
+    );
 }
 
 #[test]
