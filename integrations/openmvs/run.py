@@ -162,6 +162,7 @@ def fuse(run, command):
     """Joins all maps to fused.ply and fused.mvs, which keep their places if that fails."""
     for made in HERE.glob("fusing.*"):
         made.unlink()
+    own_files(HERE)
     agreeing = min(run["maps_per_point"], len(run["clusters"]))
     command = [*command, "--view-neighbors-file", str(HERE / "fuse.txt"), "--number-views-fuse", str(agreeing)]
     done = densify(command, HERE, HERE / "fuse.mvs", "fusing.mvs", run["resolution"])
@@ -170,6 +171,15 @@ def fuse(run, command):
     for made in HERE.glob("fusing.*"):
         made.replace(HERE / f"fused{made.suffix}")
     print(f"{len(run['clusters'])} maps fused: {HERE / 'fused.ply'}")
+
+
+def own_files(folder):
+    """Gives files that have other names, which may be somebody else's, a file of their own: a program may write into what is there."""
+    for path in [path for path in folder.iterdir() if stat.S_ISREG(path.lstat().st_mode) and path.lstat().st_nlink > 1]:
+        handle, own = tempfile.mkstemp(dir=folder)
+        os.close(handle)
+        shutil.copy2(path, own)
+        os.replace(own, path)
 
 
 def densify(command, folder, scene, output, resolution):

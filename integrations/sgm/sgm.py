@@ -285,13 +285,18 @@ class Marks:
         except OSError:
             return
         refuse_links(self.folder)
-        maps = (args.out / "depth_maps").resolve()
-        for line in text.splitlines():
-            mark, made_from, scale, path = line.split("\t", 3)
+        lines = [line.split("\t", 3) for line in text.splitlines()]
+        if not lines:
+            return
+        # All maps of an export are in one folder; to look up one per line would take long for a stranger's list.
+        results = lines[0][3].partition("/depth_maps/")[0]
+        if (workspace.folder / results / "depth_maps").resolve() != (args.out / "depth_maps").resolve():
+            return
+        for mark, made_from, scale, path in lines:
             if not re.fullmatch("[0-9a-f]+", mark):  # or it would lead elsewhere
                 raise InputError(f"{workspace.folder / 'marks.tsv'}: {mark} is no mark. Export again")
             folder, _, name = path.partition("/depth_maps/")
-            if float(scale) == args.image_scale and (workspace.folder / folder / "depth_maps").resolve() == maps:
+            if float(scale) == args.image_scale and folder == results:
                 self.listed[name.removesuffix(".npy")] = (mark, made_from)
 
     def add(self, key):

@@ -344,6 +344,14 @@ def test_the_script_makes_maps_of_other_partners_anew(site):
     assert set(site.calls()) == {"1", "2", "3", "fuse"} and again <= set(site.maps()) and site.maps() != before
 
 
+def test_the_fusion_works_on_files_that_have_no_other_name(site, tmp_path):
+    assert site.script("--stop-at", "3").returncode == 0
+    other = tmp_path / "other"
+    os.link(site.map(1), other)
+    assert site.script().returncode == 0 and (site.export / "fused.ply").exists()
+    assert other.stat().st_nlink == site.map(1).stat().st_nlink == 1 and other.read_bytes() == site.map(1).read_bytes()
+
+
 def test_what_a_killed_fusion_left_is_in_nobodys_way(site):
     left = site.export / "unfinished/0123456789abcdef"
     (left / "images").mkdir(parents=True)

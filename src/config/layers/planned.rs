@@ -35,6 +35,9 @@ const OPTIONS: [(&str, &str); 21] = [
     ("max_memory", "--max-memory"),
 ];
 
+/// Longest text of an option, bytes: a path, mostly.
+const LONGEST: usize = 4096;
+
 fn option_of(key: &str) -> Option<&'static str> {
     let of_key = OPTIONS.iter().find(|(known, _)| *known == key);
     of_key.map(|(_, option)| *option)
@@ -56,8 +59,10 @@ pub struct TypedSetting {
 }
 
 impl TypedSetting {
+    /// Returns whether it can be an option that was typed: the file may be a stranger's.
     pub fn is_of_plan(&self) -> bool {
-        option_of(&self.key).is_some()
+        let is_short = |text: &str| text.len() <= LONGEST;
+        option_of(&self.key).is_some() && self.value.as_str().is_none_or(is_short)
     }
 
     /// As it is written for a project, which can be moved with the files in it.

@@ -469,6 +469,8 @@ fn of_a_forged_plan_only_options_of_plan_count() {
         let forged = following(key, "touch gone".into()).unwrap();
         assert_eq!(forged, Configuration::default(), "{key}");
     }
+    let long = planned("region", "a/".repeat(3000));
+    assert!(!long.is_of_plan() && planned("region", "a/b.ply").is_of_plan());
     let error = following("partners.k", "many".into()).unwrap_err();
     assert!(error.to_string().contains("-k of the last plan"), "{error}");
 }

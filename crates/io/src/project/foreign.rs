@@ -276,21 +276,25 @@ pub(super) fn mistaken(root: &Path) -> Option<ProjectError> {
     })
 }
 
+/// Most models in a folder that are looked at, the first by name of each kind: each looks through
+/// the folder for its images and points.
+const MOST_MODELS: usize = 64;
+
 /// Finds the models of other programs in a folder, without reading them.
 pub(super) fn listed(root: &Path) -> Vec<ModelLocation> {
     let files = file_names(root);
     let mut models: Vec<ModelLocation> = Vec::new();
     for (pattern, format) in MODEL_PATHS {
         let found = matching(pattern, root, &files).into_iter();
-        for path in found.filter(|path| path.is_file()) {
+        for path in found.filter(|path| path.is_file()).take(MOST_MODELS) {
             if models.iter().all(|model| model.path != path) {
                 models.push(ModelLocation::new(format, path));
             }
         }
     }
-    for path in matching("*.xml", root, &files) {
-        models.extend(xml_format(&path).map(|format| ModelLocation::new(format, path)));
-    }
+    let of_xml = matching("*.xml", root, &files).into_iter();
+    let of_xml = of_xml.filter_map(|path| Some(ModelLocation::new(xml_format(&path)?, path)));
+    models.extend(of_xml.take(MOST_MODELS));
     for folder in folders_of_micmac(root, &files) {
         models.push(ModelLocation::new(ModelFormat::MicMac, folder));
     }

@@ -37,6 +37,23 @@ fn a_bundle_of_realitycapture_has_paths_of_windows_in_its_list() {
 }
 
 #[test]
+fn of_a_folder_full_of_models_the_first_are_looked_at() {
+    let folder = tempfile::tempdir().unwrap();
+    for n in 0..200 {
+        let empty = "<document version=\"2.0.0\"><chunk/></document>";
+        fs::write(folder.path().join(format!("{n:03}.xml")), empty).unwrap();
+        fs::write(folder.path().join(format!("{n:03}.nvm")), "NVM_V3\n").unwrap();
+    }
+    let listed = super::listed(folder.path());
+    let first = |model: &crate::project::ModelLocation| {
+        let name = model.path.file_stem().unwrap().to_str().unwrap();
+        name.parse::<usize>().unwrap() < super::MOST_MODELS
+    };
+    assert_eq!(listed.len(), 2 * super::MOST_MODELS);
+    assert!(listed.iter().all(first));
+}
+
+#[test]
 fn nerfstudio_has_its_points_beside() {
     let frame = |name: &str, x: f64| {
         format!(
