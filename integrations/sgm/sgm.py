@@ -285,7 +285,11 @@ class Marks:
         except OSError:
             return
         refuse_links(self.folder)
-        lines = [line.split("\t", 3) for line in text.splitlines()]
+        try:
+            rows = (line.split("\t", 3) for line in text.split("\n") if line)
+            lines = [(mark, made_from, float(scale), path) for mark, made_from, scale, path in rows]
+        except ValueError:
+            raise InputError(f"{workspace.folder / 'marks.tsv'}: not written by viewrank. Export again") from None
         if not lines:
             return
         # All maps of an export are in one folder; to look up one per line would take long for a stranger's list.
@@ -296,7 +300,7 @@ class Marks:
             if not re.fullmatch("[0-9a-f]+", mark):  # or it would lead elsewhere
                 raise InputError(f"{workspace.folder / 'marks.tsv'}: {mark} is no mark. Export again")
             folder, _, name = path.partition("/depth_maps/")
-            if float(scale) == args.image_scale and folder == results:
+            if scale == args.image_scale and folder == results:
                 self.listed[name.removesuffix(".npy")] = (mark, made_from)
 
     def add(self, key):

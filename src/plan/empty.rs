@@ -21,7 +21,7 @@ pub enum EmptyPlan {
         cure: Option<Advice>,
     },
     /// The model has fewer images than must show each place.
-    #[error("the model has {views} images, and each place needs {cameras} that show it")]
+    #[error("the model has {views} images, and each place must be seen by {cameras}")]
     FewImages { views: usize, cameras: u32 },
     /// The limits of the cut exclude every ranked cluster.
     #[error("the limits exclude all {ranked} view clusters: {limits}")]

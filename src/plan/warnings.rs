@@ -238,7 +238,7 @@ fn little_fulfilled(ranking: &Ranking, band: Option<&Band>, lacks_images: bool) 
     let given = ranking.reachable;
     let band = band.map_or_else(String::new, |band| format!(" (likely {band})"));
     let more = if lacks_images {
-        "the images that are missing or cannot be used come first, see below"
+        "first add the images that are missing or cannot be used (viewrank doctor)"
     } else {
         "a coarser --gsd, more partners (-k) or a --region without the background may give more"
     };
@@ -250,7 +250,7 @@ fn little_fulfilled(ranking: &Ranking, band: Option<&Band>, lacks_images: bool) 
     })
 }
 
-/// Returns whether a part of the images is missing that is felt.
+/// Returns whether at least a tenth of the images is missing or cannot be used.
 fn lacks_images(stages: &Stages) -> bool {
     stages.without_image.len() * MISSING >= stages.scene.views.len()
 }

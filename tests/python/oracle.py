@@ -330,7 +330,7 @@ def drawn(model, tables, keys, chosen):
             rays = [tables.centroids[seen[both]] - model.centre(of) for of in (view, other)]
             own, its = (of / np.linalg.norm(of, axis=1, keepdims=True) for of in rays)
             angle = np.degrees(np.arccos(np.clip((own * its).sum(axis=1), -1, 1)))
-            left[both] *= 1 - 0.5 * np.exp(-angle / 40)
+            left[both] *= 1 - 0.7 * np.exp(-angle / 60)
         whole += 1
         missed += (pixels * left).sum() / pixels.sum()
     return 1 - missed / whole

@@ -314,9 +314,13 @@ impl Dispatch {
     /// Returns whether the task's depth map exists, in the project or the workplace: a link out of
     /// both may be a stranger's.
     fn has_map(&self, task: &Task) -> bool {
+        self.is_ours(&task.map) && (self.runner.is_whole)(&task.map)
+    }
+
+    /// Returns whether a path leads through no link out of both the project and the workplace.
+    fn is_ours(&self, path: &Path) -> bool {
         let ours = [&self.project, &self.workplace];
-        let is_ours = ours.iter().any(|of| !paths::is_outside(&task.map, of));
-        is_ours && (self.runner.is_whole)(&task.map)
+        ours.iter().any(|of| !paths::is_outside(path, of))
     }
 
     /// Returns whether a task's depth map has its mark, from viewrank or from the script of the

@@ -78,6 +78,13 @@ impl Dispatch {
         if self.is_done(task) {
             return Ok(TaskResult::Idle);
         }
+        if let Some(folder) = task.map.parent().filter(|_| !self.is_ours(&task.map)) {
+            let message = format!(
+                "{} is a link out of the project, which is not followed: remove it",
+                folder.display()
+            );
+            return Ok(TaskResult::Failed(message));
+        }
         let (mark, disk) = (self.workplace.join(self.mark(task)), self.disk());
         let is_marked = mark.exists();
         if is_marked {

@@ -1,6 +1,9 @@
 //! Options that were typed for the last plan, which the next one goes on with.
 
-use std::{fmt, path::Path};
+use std::{
+    fmt,
+    path::{Component, Path},
+};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -67,8 +70,14 @@ impl TypedSetting {
 
     /// As it is written for a project, which can be moved with the files in it.
     pub fn written_in(&self, root: &Path) -> Self {
-        let inside = PathValue::new(&self.key, &self.value)
-            .and_then(|named| Some(named.path.strip_prefix(root).ok()?.to_str()?.to_owned()));
+        let is_inside = |path: &Path| path.components().all(|c| matches!(c, Component::Normal(_)));
+        let inside = PathValue::new(&self.key, &self.value).and_then(|named| {
+            let inside = named.path.strip_prefix(root).ok()?;
+            inside
+                .to_str()
+                .filter(|_| is_inside(inside))
+                .map(String::from)
+        });
         self.with(inside.map(|inside| format!("./{inside}")))
     }
 

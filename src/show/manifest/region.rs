@@ -75,7 +75,7 @@ impl RegionSummary {
     /// Says what is known of a region whose area on the map is not.
     fn undrawn(&self) -> String {
         format!(
-            "{:.1} % of the surface is inside. It cannot be drawn on a map around the model, so what photographs miss of it is not counted.",
+            "{:.1} % of the surface is inside. Its area on the map is not known, so what photographs miss of it is not counted.",
             100.0 * self.share_of_area
         )
     }

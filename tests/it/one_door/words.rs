@@ -559,7 +559,7 @@ fn fewer_images_than_each_place_needs_are_counted() {
         .write("viewrank.toml", "coverage.min_cameras = 10\n");
     let (code, _, stderr) = folder.plan(&["--backend", "sgm"]);
     assert!(
-        code != 0 && stderr.contains("the model has 9 images, and each place needs 10"),
+        code != 0 && stderr.contains("the model has 9 images, and each place must be seen by 10"),
         "{stderr}"
     );
 }

@@ -284,7 +284,9 @@ fn colmap_model(folder: &Path) -> Result<Option<ModelLocation>, ProjectError> {
             incomplete.get_or_insert((missing, format));
         }
     }
-    if let Some(error) = foreign::packed(folder, foreign::is_of_colmap) {
+    if incomplete.is_some()
+        && let Some(error) = foreign::packed(folder, foreign::is_of_colmap)
+    {
         return Err(error);
     }
     // Other programs have lists of cameras of the same name, which alone are no model.

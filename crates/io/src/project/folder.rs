@@ -30,7 +30,7 @@ pub(super) const INPUT: &str = "input";
 pub(super) const DISTORTED: &str = "distorted";
 /// Depth below a folder to which other folders of images are searched.
 const DEPTH: usize = 2;
-/// Most folders in the path of a `project.ini` that are left out.
+/// Most parts of the path in a `project.ini` that are taken from its end.
 const MOST_PARTS: usize = 16;
 /// Most folders that are searched.
 const MOST_FOLDERS: usize = 2000;
@@ -266,9 +266,10 @@ fn of_settings(root: &Path, model: &Path) -> Vec<PathBuf> {
         return Vec::new();
     };
     let as_it_is = around(root, model).map(|above| above.join(&path));
-    let ends = path.match_indices('/').take(MOST_PARTS);
+    let ends = path.rmatch_indices('/').take(MOST_PARTS);
     let ends = ends.map(|(at, _)| root.join(path[at + 1..].trim_start_matches('/')));
-    as_it_is.chain(ends).collect()
+    let ends: Vec<PathBuf> = ends.collect();
+    as_it_is.chain(ends.into_iter().rev()).collect()
 }
 
 /// `image_path` in the `project.ini` of a folder.
@@ -322,11 +323,12 @@ fn searched(root: &Path, model: &Path, usual: &[PathBuf], names: &[String]) -> O
     let best = holding_most(&folders, names, &search)
         .or_else(|| holding_most(&reduced(root, model), names, &search))?;
     let mut widest = (held_below(&best, names), best.clone());
+    // One photograph that a folder lacks is not that of another flight: cameras begin to count anew.
+    if widest.0 * 4 >= names.len() * 3 {
+        return Some(best);
+    }
     let above = best.ancestors().skip(1);
     for folder in above.take_while(|folder| folder.starts_with(root)) {
-        if widest.0 == names.len() {
-            break;
-        }
         let held = held_below(folder, names);
         if held > widest.0 {
             widest = (held, folder.into());

@@ -16,8 +16,8 @@ const MASK: &str = "mask";
 pub(super) const MOST_ENTRIES: usize = 500_000;
 
 /// Returns the images in a folder and its sub-folders whose path, relative to it, `is_wanted`;
-/// sorted. Links to folders are not followed: they may lead anywhere. Hidden folders have copies of
-/// programs.
+/// sorted. Links to folders are not followed: they may lead anywhere. Hidden folders hold
+/// programs' own copies.
 pub fn images_below(folder: &Path, is_wanted: impl Fn(&Path) -> bool) -> Vec<String> {
     let entries = WalkDir::new(folder)
         .follow_root_links(true)

@@ -212,12 +212,17 @@ impl ImageFaults {
     pub(super) fn find(folder: &ImageFolder, scene: &Scene, views: &[ViewIndex]) -> Self {
         let check = |view: &ViewIndex| Self::of_view(folder, scene, *view);
         let found: Vec<Self> = views.par_iter().map(check).collect();
-        let mut all = Self::default();
+        // Where some have another shape than when turned, all may have another reason.
+        let of_other_shape = found.iter().filter(|of| !of.other_aspect_ratio.is_empty());
+        let turned: Option<Vec<Turned>> = of_other_shape.map(|of| of.turned).collect();
+        let mut all = Self {
+            turned: turned.and_then(|turned| turned.first().copied()),
+            ..Self::default()
+        };
         for faults in found {
             all.missing.extend(faults.missing);
             all.other_size.extend(faults.other_size);
             all.other_aspect_ratio.extend(faults.other_aspect_ratio);
-            all.turned = all.turned.or(faults.turned);
             all.unreadable.extend(faults.unreadable);
         }
         all
