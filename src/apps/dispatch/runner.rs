@@ -78,7 +78,8 @@ impl Dispatch {
         if self.is_done(task) {
             return Ok(TaskResult::Idle);
         }
-        if let Some(folder) = task.map.parent().filter(|_| !self.is_ours(&task.map)) {
+        // A link in the place of the map itself is replaced.
+        if let Some(folder) = task.map.parent().filter(|folder| !self.is_ours(folder)) {
             let message = format!(
                 "{} is a link out of the project, which is not followed: remove it",
                 folder.display()

@@ -369,7 +369,10 @@ fn check_any(path: &Path, root: &Path, models: &[ModelLocation]) -> Result<(), P
     // A list of images without poses is none (OpenMVG's `matches/sfm_data.json`).
     if models.iter().all(|model| model.registered == 0) {
         let binary = || {
-            let folders = [folders_of_other_programs(root), sub_folders(root)].concat();
+            let below = sub_folders(root).into_iter().take(MOST_FOLDERS);
+            let below = below.flat_map(|folder| with_sub_folders(&folder));
+            let below = below.take(MOST_FOLDERS).collect();
+            let folders = [folders_of_other_programs(root), below].concat();
             folders.iter().find_map(|folder| {
                 let packed = || foreign::packed(folder, foreign::is_of_model);
                 foreign::in_binary(folder).or_else(packed)
