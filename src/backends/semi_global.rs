@@ -10,7 +10,7 @@ use crate::{
     },
 };
 
-/// Of the settings tried, these rank best by real curves.
+/// Best of the settings tried, by real curves.
 pub(super) const CONFIDENCE: PairConfidence = PairConfidence {
     min_matches: 2,
     p0: 0.9,

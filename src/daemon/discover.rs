@@ -90,10 +90,9 @@ impl Walk<'_> {
             return self.found.projects.push(folder);
         }
         let before = (self.found.lengths(), self.links.len());
-        let may_be_one = kind == FolderKind::MayBeProject;
-        let of_models = match kind {
-            FolderKind::MayBeProject => folders_of_models(&folder, self.follow_links),
-            _ => BTreeSet::new(),
+        let (may_be_one, of_models) = match kind {
+            FolderKind::MayBeProject { of_models } => (true, of_models),
+            _ => (false, BTreeSet::new()),
         };
         let (own, others): (Vec<_>, Vec<_>) = listing
             .below()
@@ -164,11 +163,14 @@ pub fn is_project(folder: &Path, follow_links: bool) -> bool {
 }
 
 /// Kind of a folder by the names of its files.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 enum FolderKind {
     Project,
-    /// A project unless it contains several projects.
-    MayBeProject,
+    /// A project unless it contains several projects. `of_models`: names of the folders in it that
+    /// hold models of other programs.
+    MayBeProject {
+        of_models: BTreeSet<OsString>,
+    },
     Folder,
 }
 
@@ -227,9 +229,10 @@ impl Listing {
             .iter()
             .any(|name| name.as_encoded_bytes().ends_with(b".mvs"));
         let bare_model = || self.model_files() >= 2 && !is_sub_model(folder);
-        let of_others = || !models_of_others(folder, follow_links).is_empty();
-        if scene || self.holds_orientations(folder) || bare_model() || of_others() {
-            FolderKind::MayBeProject
+        let of_others = models_of_others(folder, follow_links);
+        if scene || self.holds_orientations(folder) || bare_model() || !of_others.is_empty() {
+            let of_models = folders_of_models(folder, &of_others);
+            FolderKind::MayBeProject { of_models }
         } else {
             FolderKind::Folder
         }
@@ -268,15 +271,14 @@ fn models_of_others(folder: &Path, follow_links: bool) -> Vec<PathBuf> {
     models
 }
 
-/// Names of the folders in a project in which its programs have its models.
-fn folders_of_models(project: &Path, follow_links: bool) -> BTreeSet<OsString> {
-    let first = |model: PathBuf| {
+/// Names of the folders in a project that hold these models of other programs.
+fn folders_of_models(project: &Path, models: &[PathBuf]) -> BTreeSet<OsString> {
+    let first = |model: &PathBuf| {
         let mut parts = model.strip_prefix(project).ok()?.components();
         let first = parts.next()?.as_os_str().to_owned();
         project.join(&first).is_dir().then_some(first)
     };
-    let models = models_of_others(project, follow_links);
-    models.into_iter().filter_map(first).collect()
+    models.iter().filter_map(first).collect()
 }
 
 /// True if `sparse` or a folder in it holds model files, or is unreadable and may hold some.

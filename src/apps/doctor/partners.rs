@@ -151,8 +151,8 @@ impl PartnerCount {
     }
 }
 
-/// Reports views that can be key views only with partners beyond the gate, if at all; the severity depends on their share, and on the share of
-/// points that no other view sees.
+/// Reports views that can be key views only with partners beyond the gate, if at all; the severity
+/// depends on their share, and on the share of points that no other view sees.
 fn too_few(inputs: &Inputs, counts: &[&PartnerCount]) -> Option<Finding> {
     let least = least(inputs);
     let few: Vec<&PartnerCount> = counts

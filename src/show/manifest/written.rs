@@ -404,7 +404,7 @@ impl RecordedPlan {
             .map_err(|error| refused(place_and_fault(&error, bytes)))?;
         check(&recorded).map_err(refused)?;
         recorded.typed.retain(TypedSetting::is_of_plan);
-        // The manifest lies in a folder of the project's own.
+        // The manifest is in PROJECT/viewrank.
         let home = path.ancestors().nth(2).map_or_else(PathBuf::new, absolute);
         let typed = mem::take(&mut recorded.typed).into_iter();
         recorded.settings.typed = typed.map(|typed| typed.read_in(&home)).collect();

@@ -136,7 +136,7 @@ fn pictures_that_a_viewer_has_turned_are_said_to_be() {
     let plain = jpeg_with(b"II*\0\x08\0\0\0\0\0\0\0\0\0");
     for (picture, why, cure) in [
         (turned, "EXIF orientation says", "-auto-orient"),
-        (plain, "it is turned by 90°", "camera's card"),
+        (plain, "it was rotated by 90°", "camera's card"),
     ] {
         let folder = Folder::new();
         folder.colmap("sparse/0", &ColmapModel::from_scene(&upright));

@@ -123,8 +123,7 @@ pub fn folders(project: &Path) -> Vec<PathBuf> {
     folders
 }
 
-/// Those of the [`folders`] that are of other programs than this one, by their names. Whose maps are in
-/// `depth_maps` is not known.
+/// Map folders of other programs, by name. Whose maps are in `depth_maps` is not known.
 pub fn folders_of_others(project: &Path, program: &str) -> Vec<PathBuf> {
     let is_own = |folder: &PathBuf| {
         folder.ends_with(program)
@@ -158,7 +157,7 @@ pub fn folder_of(project: &Path, dense: Option<&Path>, kind: &str) -> Option<Pat
         other => vec![project.join(other)],
     };
     candidates.retain(|folder| !paths::is_outside(folder, project));
-    // Its export is in a folder of its name, too, but its maps are not in that.
+    // The folder of its name may be its export, which holds no maps.
     let is_there = |folder: &&PathBuf| match kind {
         "sgm" => folder.join("depth_maps").is_dir(),
         _ => folder.is_dir(),

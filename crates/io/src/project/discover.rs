@@ -263,6 +263,14 @@ fn with_sub_folders(folder: &Path) -> Vec<PathBuf> {
     [vec![folder.into()], sub_folders(folder)].concat()
 }
 
+/// The wanted folders in a folder, and those in them.
+fn two_folders_below(root: &Path, is_wanted: impl Fn(&Path) -> bool) -> Vec<PathBuf> {
+    let wanted = sub_folders(root).into_iter();
+    let wanted = wanted.filter(|folder| is_wanted(folder));
+    let below = wanted.flat_map(|folder| with_sub_folders(&folder));
+    below.take(MOST_FOLDERS).collect()
+}
+
 /// Finds the model of a folder; prefers binary to text, like COLMAP. The points may be in a PLY file
 /// instead.
 fn colmap_model(folder: &Path) -> Result<Option<ModelLocation>, ProjectError> {
@@ -369,9 +377,7 @@ fn check_any(path: &Path, root: &Path, models: &[ModelLocation]) -> Result<(), P
     // A list of images without poses is none (OpenMVG's `matches/sfm_data.json`).
     if models.iter().all(|model| model.registered == 0) {
         let binary = || {
-            let below = sub_folders(root).into_iter().take(MOST_FOLDERS);
-            let below = below.flat_map(|folder| with_sub_folders(&folder));
-            let below = below.take(MOST_FOLDERS).collect();
+            let below = two_folders_below(root, |_| true);
             let folders = [folders_of_other_programs(root), below].concat();
             folders.iter().find_map(|folder| {
                 let packed = || foreign::packed(folder, foreign::is_of_model);
@@ -385,13 +391,7 @@ fn check_any(path: &Path, root: &Path, models: &[ModelLocation]) -> Result<(), P
     if !models.is_empty() {
         return Ok(());
     }
-    let below = sub_folders(root)
-        .into_iter()
-        .filter(|folder| is_searched(folder));
-    let below: Vec<PathBuf> = below
-        .flat_map(|folder| with_sub_folders(&folder))
-        .take(MOST_FOLDERS)
-        .collect();
+    let below = two_folders_below(root, is_searched);
     if let Some(error) = foreign::of_other_program(path, root, &below) {
         return Err(error);
     }

@@ -174,7 +174,7 @@ pub(super) fn of_other_program(
     in_folders.next().map(|(_, error)| error)
 }
 
-/// What a file of another program is, and its place in [`OTHER_FILES`].
+/// Says which program's file it is; with its place in [`OTHER_FILES`].
 fn kind(path: &Path) -> Option<(u32, ProjectError)> {
     let name = path.file_name()?.to_str()?.to_lowercase();
     let mut kinds = OTHER_FILES.iter().zip(0..);
@@ -202,7 +202,7 @@ fn fits(name: &str, pattern: &str) -> bool {
     left.ends_with(end)
 }
 
-/// The first file of a model in a folder that is compressed, if its name without that ending `is_wanted`.
+/// The first compressed file in a folder whose name without that ending `is_wanted`.
 pub(super) fn packed(folder: &Path, is_wanted: impl Fn(&str) -> bool) -> Option<ProjectError> {
     let names = file_names(folder);
     let packed = |name: &String| {

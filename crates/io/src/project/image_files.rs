@@ -4,7 +4,7 @@ use std::{collections::HashSet, ffi::OsStr, path::Path};
 
 use walkdir::WalkDir;
 
-use super::MASKS;
+use super::{MASKS, names::stem};
 
 /// Extensions of image files, lower case.
 pub(super) const EXTENSIONS: [&str; 10] = [
@@ -100,18 +100,11 @@ fn masked(name: &str) -> Vec<String> {
     beside.chain(above).collect()
 }
 
-/// What is before the mark of a mask at the end of its name.
+/// The stem without the mark of a mask at its end.
 fn strip_mark(stem: &str) -> Option<&str> {
     let (rest, mark) = stem.split_at_checked(stem.len().checked_sub(MASK.len())?)?;
     let rest = rest.strip_suffix(['_', '-', '.'])?;
     (mark.eq_ignore_ascii_case(MASK) && !rest.is_empty()).then_some(rest)
-}
-
-fn stem(name: &str) -> &str {
-    match name.rsplit_once('.') {
-        Some((stem, extension)) if !extension.contains('/') => stem,
-        _ => name,
-    }
 }
 
 /// Formats a path with `/` as the separator, like image names.

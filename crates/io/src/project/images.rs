@@ -153,7 +153,7 @@ impl Turned {
                 "its EXIF orientation says to show it turned by 90°, and the model was made from turned copies"
             }
             Self::InFile => {
-                "it is turned by 90°, as viewers do when they save it, and that of the model was not"
+                "it was rotated by 90°, as some viewers do on saving; the model's image was not"
             }
         }
     }
@@ -187,7 +187,7 @@ pub struct ImageFaults {
     pub other_size: Vec<(ViewIndex, [u32; 2])>,
     /// Views whose image has another aspect ratio than the camera's, with its width and height.
     pub other_aspect_ratio: Vec<(ViewIndex, [u32; 2])>,
-    /// The first of these whose image would fit if it were turned by 90°.
+    /// What turned the first of these, if each would fit turned by 90°.
     pub turned: Option<Turned>,
     /// Views whose file is empty, truncated, not an image or not to be read, in words.
     pub unreadable: Vec<(ViewIndex, &'static str)>,
@@ -452,7 +452,7 @@ pub(super) fn unregistered(folder: &ImageFolder, scene: &Scene) -> Vec<String> {
         .chain(folder.other_names().map(|(_, file)| file))
         .chain(folder.candidates());
     let registered: HashSet<PathBuf> = names.map(|name| in_folder(name, folder)).collect();
-    // What else a folder of masks has may be photographs.
+    // A folder of masks may hold photographs, too.
     let is_copy = |part: &str| part != MASKS && folder::holds_no_photographs(part);
     let may_be_one = |path: &Path| {
         let mut folders = path.parent().into_iter().flat_map(Path::components);

@@ -312,9 +312,12 @@ pub(super) fn last(name: &str) -> &str {
     name.rsplit(SEPARATORS).next().unwrap_or(name)
 }
 
-/// A file name without its extension.
+/// A name without its extension.
 pub(super) fn stem(name: &str) -> &str {
-    name.rsplit_once('.').map_or(name, |(stem, _)| stem)
+    match name.rsplit_once('.') {
+        Some((stem, extension)) if !extension.contains('/') => stem,
+        _ => name,
+    }
 }
 
 /// A name in lower case and one Unicode form: macOS decomposes characters, others compose them.

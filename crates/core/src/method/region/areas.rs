@@ -227,7 +227,7 @@ impl MapAreas {
         rings.map(|ring| ring.iter().map(place).collect()).collect()
     }
 
-    /// Area of the polygons that count; `rings`: theirs on a map, in their order.
+    /// Area of the polygons that count; `rings`: their rings on a map, in their order.
     pub fn area(&self, rings: &[Vec<[f64; 2]>]) -> f64 {
         let mut rest = rings;
         let polygons = self.rings.iter().zip(&self.wishes);

@@ -213,8 +213,7 @@ impl Footprint<'_> {
         }
     }
 
-    /// Area within the rings, which are those of the footprint; what lies in several polygons counts
-    /// several times.
+    /// Area of the footprint by its rings on the map; an overlap counts once per polygon.
     fn area(&self, rings: &[Vec<[f64; 2]>]) -> f64 {
         match self {
             Self::Areas(areas) => areas.area(rings),

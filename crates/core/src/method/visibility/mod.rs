@@ -29,9 +29,9 @@ use self::{
 };
 pub use self::{
     parts::keep_parts_in_field,
-    shown::{gsd_at, projected_area},
+    settings::VisibilitySettings,
+    shown::{Shown, gsd_at, projected_area},
 };
-pub use self::{settings::VisibilitySettings, shown::Shown};
 use crate::{
     base::{
         column::{self, Column, ColumnBuilder, DiskError, Storage, TableError},

@@ -19,8 +19,8 @@ use crate::{
     },
 };
 
-/// Drops the connected parts of a mesh that are in the field of no view: nothing of them would
-/// remain, after much work on their edges. `buffer_px`: that of the visibility.
+/// Drops the connected components of a mesh outside all views, before the costly clean-up. `buffer_px`:
+/// side of the depth buffers, as in [`VisibilitySettings`](super::VisibilitySettings).
 pub fn keep_parts_in_field(
     scene: &Scene,
     mesh: Mesh,

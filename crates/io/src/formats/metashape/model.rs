@@ -82,6 +82,12 @@ impl Chunk {
         folder.filter(|folder| folder.len() <= LONGEST_FOLDER)
     }
 
+    /// The transform from the chunk that applies to a component's cameras.
+    fn to_world(&self, component: &str) -> Option<&Similarity> {
+        let of_component = self.components.get(component);
+        of_component.or(self.transform.as_ref())
+    }
+
     fn sensor(&self, camera: &ChunkCamera) -> Result<&Sensor, Fault> {
         let id = &camera.sensor_id;
         self.sensors.get(id).ok_or_else(|| {
@@ -187,12 +193,10 @@ impl<'a> ChunkModel<'a> {
         Ok(())
     }
 
-    /// The transform from the chunk that applies to a component's cameras.
+    /// The transform that a component's cameras are given.
     fn to_world(&self, component: &str) -> Option<&'a Similarity> {
-        let of_component = self.chunk.components.get(component);
-        of_component
-            .or(self.chunk.transform.as_ref())
-            .filter(|_| self.frame == Frame::World)
+        let to_world = self.chunk.to_world(component);
+        to_world.filter(|_| self.frame == Frame::World)
     }
 
     fn into_largest_component(self) -> ForeignModel {
@@ -200,9 +204,8 @@ impl<'a> ChunkModel<'a> {
         Lens::warn(&self.lenses, &mut foreign);
         let (largest, others) = largest_component(components.iter().copied());
         if self.frame == Frame::Chunk {
-            let transform = self.chunk.components.get(&*largest);
-            let transform = transform.or(self.chunk.transform.as_ref());
-            foreign.georeference = transform.and_then(Similarity::place);
+            let to_world = self.chunk.to_world(&largest);
+            foreign.georeference = to_world.and_then(Similarity::place);
         }
         foreign.keep_images(|image| components[image] == largest);
         foreign.warn_of_others("components", &others);
