@@ -147,15 +147,8 @@ impl Selection<'_> {
                     ))
                 }
                 (None, None) => {
-                    let name = faults.missing.first().map(|view| self.scene.name(*view));
-                    let fits_two = name.is_some_and(|name| folder.candidates_for(name).is_some());
-                    let others = match folder.first_image().zip(name) {
-                        Some(_) if fits_two => " by its name".into(),
-                        Some((other, name)) => {
-                            format!(", which has others ({other}; the model's is {name})")
-                        }
-                        None => String::new(),
-                    };
+                    let missing = faults.missing.first().map(|view| self.scene.name(*view));
+                    let others = missing.map_or(String::new(), |name| others_than(name, folder));
                     needs(format!("the images, and none of them is in {at}{others}"))
                 }
             },
@@ -325,6 +318,15 @@ pub fn name_of_kind(project: &Project, name: &str) -> String {
 pub fn is_below(path: &str) -> bool {
     let is_name = |part| matches!(part, Component::Normal(_) | Component::CurDir);
     Path::new(path).components().all(is_name)
+}
+
+/// Says what a folder has in place of an image; empty where it has none.
+fn others_than(name: &str, folder: &ImageFolder) -> String {
+    match folder.first_image() {
+        Some(_) if folder.candidates_for(name).is_some() => " by its name".into(),
+        Some(other) => format!(", which has others ({other}; the model's is {name})"),
+        None => String::new(),
+    }
 }
 
 /// Says what to do where the folder has images, but none that the model names.

@@ -120,11 +120,8 @@ impl<'a> Summary<'a> {
         asked: Asked,
     ) -> Self {
         let manifest = &files.manifest;
-        // A page of this plan has its own.
-        let flight = files.outdated_flight.iter();
-        let flight = flight.filter(|_| asked.page.is_none());
-        let outdated = files.outdated_exports.iter().chain(flight).cloned();
-        let outdated: Vec<String> = outdated.collect();
+        let images = project.images.as_ref();
+        let sets = files.sets.iter();
         Self {
             project: project.home.display().to_string(),
             backend: plan.stages.backend,
@@ -143,25 +140,22 @@ impl<'a> Summary<'a> {
             limits: plan.stages.settings.cut.limits(),
             forecast: plan.decision.forecast,
             speed_up: plan.decision.forecast.speed_up(plan.timings.total()),
-            warnings: warnings_with(&files.manifest.warnings, &files.manifest.exports, &outdated),
+            warnings: warnings_with(
+                &manifest.warnings,
+                &manifest.exports,
+                &outdated(files, &asked),
+            ),
             written: !dry_run,
-            files: {
-                let sets = files.sets.iter();
-                sets.flat_map(|set| set.files.keys().cloned()).collect()
-            },
-            images: {
-                let images = project.images.as_ref();
-                images.map(|images| images.display().to_string())
-            },
+            files: sets.flat_map(|set| set.files.keys().cloned()).collect(),
+            images: images.map(|images| images.display().to_string()),
             chosen_for: chosen_for(project, plan, asked.keeps_backend),
             look: match &asked.page {
                 Some(page) => shown_path(page),
                 None => format!("viewrank report {} --open", command_path(&project.home)),
             },
             notes: {
-                let dropped = asked.dropped_region.map(|region| dropped(&region));
-                let others = notes(project, plan, &files.place);
-                dropped.into_iter().chain(others).collect()
+                let dropped = asked.dropped_region.iter().map(dropped);
+                dropped.chain(notes(project, plan, &files.place)).collect()
             },
             next,
             timings: &plan.timings,
@@ -173,9 +167,7 @@ impl<'a> Summary<'a> {
             missed: (asked.is_survey && plan.stages.makes_maps)
                 .then(|| plan.unfulfilled_share())
                 .filter(|share| *share > LEAST_MISSED),
-            use_of_views: backends::by_name(plan.stages.backend)
-                .ok()
-                .and_then(|backend| backend.use_of_views),
+            use_of_views: use_of_views(plan.stages.backend),
         }
     }
 
@@ -599,6 +591,20 @@ fn chosen_for(project: &Project, plan: &Plan, keeps_backend: bool) -> String {
         return String::new();
     };
     format!(" ({})", choice.describe())
+}
+
+/// Returns the verb for what a program without depth maps does with the images.
+fn use_of_views(backend: &str) -> Option<&'static str> {
+    backends::by_name(backend).ok()?.use_of_views
+}
+
+/// Returns the files of the plan before that this one has made outdated.
+fn outdated(files: &PlanFiles, asked: &Asked) -> Vec<String> {
+    // A page of this plan has its own.
+    let flight = files.outdated_flight.iter();
+    let flight = flight.filter(|_| asked.page.is_none());
+    let outdated = files.outdated_exports.iter().chain(flight);
+    outdated.cloned().collect()
 }
 
 /// Notes on images that may be unexpected: other names, other folders.

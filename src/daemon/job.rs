@@ -184,10 +184,7 @@ impl PlanJob {
         is_by_hand: bool,
         disk: &Disk,
     ) -> StepResult<Outcome> {
-        if let Some(reason) = job.stamp.read_error() {
-            let hint = Some("make it readable for the user who runs viewrank".into());
-            return Err(Outcome::Failed { reason, hint });
-        }
+        refuse_unreadable(job)?;
         let (settings, note) = self.settings(job.project)?;
         let project = Project::open(job.project, None)
             .map_err(incomplete)?
@@ -212,7 +209,6 @@ impl PlanJob {
                 reason: empty.to_string(),
             });
         }
-        let (clusters, share) = (plan.decision.cut.clusters, plan.decision.cut.share);
         let replaced = (is_by_hand && !self.options.is_run)
             .then(|| another_than(&plan, &project))
             .flatten();
@@ -228,8 +224,8 @@ impl PlanJob {
         Ok(Outcome::Planned {
             fingerprint,
             backend: plan.stages.backend.into(),
-            clusters,
-            share,
+            clusters: plan.decision.cut.clusters,
+            share: plan.decision.cut.share,
             has_region: settings.region.is_some(),
             lacks_export,
             note: lacks_export
@@ -287,14 +283,7 @@ impl PlanJob {
         if job.maps.is_empty() {
             return none();
         }
-        let record = match PlannedFrom::read(job.project) {
-            Some(record) => record,
-            // The plan is gone, or was replaced by hand.
-            None => {
-                let planned = self.try_plan(PlanWhen::Outdated, job)?;
-                PlannedFrom::read(job.project).ok_or(planned)?
-            }
-        };
+        let record = self.record_or_plan(job)?;
         let opened = Project::open(job.project, None).map_err(incomplete)?;
         let Some(folder) = own_folder(&opened, &record.backend, job.maps) else {
             return none();
@@ -335,6 +324,15 @@ impl PlanJob {
         }
         let note = self.settings(job.project).ok().and_then(|(_, note)| note);
         Ok(progress.outcome(note))
+    }
+
+    /// Returns the record of the plan, which is made anew if it is gone, or was replaced by hand.
+    fn record_or_plan(&self, job: &Job) -> StepResult<PlannedFrom> {
+        if let Some(record) = PlannedFrom::read(job.project) {
+            return Ok(record);
+        }
+        let planned = self.try_plan(PlanWhen::Outdated, job)?;
+        PlannedFrom::read(job.project).ok_or(planned)
     }
 
     /// Returns the plan by prediction alone, from the cache if possible.
@@ -511,6 +509,15 @@ fn refuse_links(job: &Job, model: &[PathBuf]) -> StepResult<()> {
         }),
         None => Ok(()),
     }
+}
+
+/// Refuses a project whose files cannot be looked at.
+fn refuse_unreadable(job: &Job) -> StepResult<()> {
+    let Some(reason) = job.stamp.read_error() else {
+        return Ok(());
+    };
+    let hint = Some("make it readable for the user who runs viewrank".into());
+    Err(Outcome::Failed { reason, hint })
 }
 
 /// Refuses a model that is larger than the memory for its plan: the forecast comes after the model

@@ -169,13 +169,9 @@ impl fmt::Display for Phase {
                 has_region,
                 ..
             } => {
-                let chosen = chosen_for(backend, *clusters);
-                write!(f, "planned{}: {chosen}", of(backend))?;
-                if makes_maps(backend) {
-                    let (percent, area) = (share * 100.0, area(has_region));
-                    write!(f, " for {percent:.0} % of {area}")?;
-                }
-                Ok(())
+                let (of, chosen) = (of(backend), chosen_for(backend, *clusters));
+                let forecast = forecast(backend, *share, *has_region);
+                write!(f, "planned{of}: {chosen}{forecast}")
             }
             Self::Partial {
                 backend,
@@ -220,6 +216,15 @@ impl fmt::Display for Phase {
         let mut note = self.note().into_iter();
         note.try_for_each(|note| write!(f, "; {note}"))
     }
+}
+
+/// Returns what the chosen depth maps are expected to give, in words; empty for images.
+fn forecast(backend: &str, share: f64, has_region: bool) -> String {
+    if !makes_maps(backend) {
+        return String::new();
+    }
+    let (percent, area) = (share * 100.0, area_of_all(None, has_region));
+    format!(" for {percent:.0} % of {area}")
 }
 
 /// Returns what a plan chooses for a backend, in words.

@@ -204,13 +204,7 @@ impl Hint for PlanError {
                 with_pictures,
                 ..
             } => more_memory(stage, *with_pictures),
-            Self::Refused { with_pictures, .. } => Advice::text("give ")
-                .run("watch ")
-                .set_to("max_memory", memory::enough(*with_pictures))
-                .and(
-                    " or more; less may do with max_memory in the project's viewrank.toml: a larger surface is then \
-                     built in tiles, larger tables are kept on disk, and fewer pictures and masks are read at once",
-                ),
+            Self::Refused { with_pictures, .. } => more_memory_to_watch(*with_pictures),
             Self::Disk(error) => return error.hint(),
             Self::Cancelled(_) => return None,
         })
@@ -238,6 +232,17 @@ impl Hint for PlanError {
             _ => None,
         }
     }
+}
+
+/// Returns advice for a plan of the daemon that would exceed its memory limit.
+fn more_memory_to_watch(with_pictures: u64) -> Advice {
+    Advice::text("give ")
+        .run("watch ")
+        .set_to("max_memory", memory::enough(with_pictures))
+        .and(
+            " or more; less may do with max_memory in the project's viewrank.toml: a larger surface is then built in \
+             tiles, larger tables are kept on disk, and fewer pictures and masks are read at once",
+        )
 }
 
 /// Returns advice for a stage that exceeds the memory limit.

@@ -102,64 +102,9 @@ impl Stages {
             watcher,
         };
 
-        let twins = run.step(TwinsStep { inputs: &inputs })?;
-        let (seen, candidates) = steps::surface_and_candidates(&inputs, &twins, &mut run)?;
-        run.memory
-            .before_partners(&inputs.scene, &seen.surface, &seen.visibility)?;
-
-        let shown = run.step(ShownStep {
-            inputs: &inputs,
-            seen: &seen,
-        })?;
-        let (region, ground) = steps::region(&mut inputs, &twins, &seen, &shown, &mut run)?;
-        let inputs = inputs;
-        let target = target(&inputs, seen.gsd, &shown, region.as_ref());
-        let objective = objective(&inputs, &seen.surface, &shown, region.as_ref());
-        let geometry = Geometry {
-            scene: &inputs.scene,
-            surface: &seen.surface,
-            visibility: &seen.visibility,
-            target: &target,
-            image_scale: inputs.settings.image_scale(),
-        };
-        seen.visibility.triangles.release();
-        large_pages::return_freed_memory();
-
-        let unary = run.step(UnaryStep {
-            inputs: &inputs,
-            surface_file: &seen.file,
-            geometry,
-        })?;
-        let thumbnails = Thumbnails::new(inputs.scene.views.len());
-        let compared = steps::agreement(&inputs, &geometry, &candidates, &thumbnails, &mut run)?;
-        let agreement = compared.as_deref().unwrap_or(&NO_AGREEMENT);
-
-        let clusters = run.step(ClustersStep {
-            inputs: &inputs,
-            from: [&seen.file, &candidates.file, &unary.file],
-            agreement_file: compared.as_ref().map(|compared| &compared.file),
-            model: Model::new(geometry, &unary.unary, agreement, inputs.rule()),
-            candidates: &candidates,
-        })?;
-        large_pages::return_freed_memory();
-        let support = objective.support;
-        let places = steps::pilot(&inputs, &clusters, support, thumbnails, &mut run)?;
-
-        let found = Found {
-            twins,
-            seen,
-            candidates,
-            shown,
-            region,
-            ground,
-            target,
-            objective,
-            unary,
-            agreement: compared,
-            clusters,
-            places,
-        };
-        let stages = found.into_stages(inputs, run.memory);
+        let wanted = Wanted::new(&mut inputs, &mut run)?;
+        let predicted = Prediction::new(&inputs, &wanted, &mut run)?;
+        let stages = Found { wanted, predicted }.into_stages(inputs, run.memory);
         watcher.check()?;
         Ok(stages)
     }
@@ -234,8 +179,8 @@ impl std::ops::Deref for Stages {
     }
 }
 
-/// Results of the stages, each with its cache file.
-struct Found {
+/// The surface, which view sees what of it, and what is wanted there (method 1, 2, 3.6 and 5.1).
+struct Wanted {
     twins: Filed<Vec<Twin>>,
     seen: Filed<VisibleSurface>,
     candidates: Filed<Candidates>,
@@ -244,31 +189,109 @@ struct Found {
     ground: Option<Ground>,
     target: Target,
     objective: Objective,
+}
+
+impl Wanted {
+    fn new(inputs: &mut Inputs, run: &mut Run) -> Result<Self, PlanError> {
+        let twins = run.step(TwinsStep { inputs })?;
+        let (seen, candidates) = steps::surface_and_candidates(inputs, &twins, run)?;
+        run.memory
+            .before_partners(&inputs.scene, &seen.surface, &seen.visibility)?;
+        let shown = run.step(ShownStep {
+            inputs,
+            seen: &seen,
+        })?;
+        let (region, ground) = steps::region(inputs, &twins, &seen, &shown, run)?;
+        let target = target(inputs, seen.gsd, &shown, region.as_ref());
+        let objective = objective(inputs, &seen.surface, &shown, region.as_ref());
+        seen.visibility.triangles.release();
+        large_pages::return_freed_memory();
+        Ok(Self {
+            twins,
+            seen,
+            candidates,
+            shown,
+            region,
+            ground,
+            target,
+            objective,
+        })
+    }
+
+    fn geometry<'a>(&'a self, inputs: &'a Inputs) -> Geometry<'a> {
+        Geometry {
+            scene: &inputs.scene,
+            surface: &self.seen.surface,
+            visibility: &self.seen.visibility,
+            target: &self.target,
+            image_scale: inputs.settings.image_scale(),
+        }
+    }
+}
+
+/// The clusters, and what each is predicted to fulfil (method 3, 4, 7 and 5.9).
+struct Prediction {
     unary: Filed<UnaryWithWarnings>,
     agreement: Option<Filed<Agreement>>,
     clusters: Filed<CachedClusters>,
     places: Option<Filed<Places>>,
 }
 
+impl Prediction {
+    fn new(inputs: &Inputs, wanted: &Wanted, run: &mut Run) -> Result<Self, PlanError> {
+        let (geometry, candidates) = (wanted.geometry(inputs), &wanted.candidates);
+        let unary = run.step(UnaryStep {
+            inputs,
+            surface_file: &wanted.seen.file,
+            geometry,
+        })?;
+        let thumbnails = Thumbnails::new(inputs.scene.views.len());
+        let compared = steps::agreement(inputs, &geometry, candidates, &thumbnails, run)?;
+        let agreement = compared.as_deref().unwrap_or(&NO_AGREEMENT);
+        let clusters = run.step(ClustersStep {
+            inputs,
+            from: [&wanted.seen.file, &candidates.file, &unary.file],
+            agreement_file: compared.as_ref().map(|compared| &compared.file),
+            model: Model::new(geometry, &unary.unary, agreement, inputs.rule()),
+            candidates,
+        })?;
+        large_pages::return_freed_memory();
+        let support = wanted.objective.support;
+        let places = steps::pilot(inputs, &clusters, support, thumbnails, run)?;
+        Ok(Self {
+            unary,
+            agreement: compared,
+            clusters,
+            places,
+        })
+    }
+}
+
+/// Results of the stages, each with its cache file.
+struct Found {
+    wanted: Wanted,
+    predicted: Prediction,
+}
+
 impl Found {
     fn into_stages(mut self, inputs: Inputs, memory: Memory) -> Stages {
-        let (pilot_file, places) = self.places.take().map(Filed::into_parts).unzip();
+        let places = self.predicted.places.take();
+        let (pilot_file, places) = places.map(Filed::into_parts).unzip();
         let pilot = places.and_then(|places| self.counted(places, &inputs));
-        let (scale, per_map) = (inputs.settings.image_scale(), inputs.matcher.numbers.work);
-        let work = work(&inputs.scene, scale, per_map, &self.clusters.clusters);
+        let work = self.work(&inputs);
         let ranking = self.known_ranking(pilot_file.as_ref(), &inputs, &work);
+        let cached = self.cached(pilot_file, ranking.file);
 
-        let (agreement_file, agreement) = self.agreement.map(Filed::into_parts).unzip();
+        let Self { wanted, predicted } = self;
+        let agreement = predicted.agreement.map(|agreement| agreement.result);
         let agreement = agreement.unwrap_or_default();
-        let mut picture_warnings = self.unary.result.warnings;
+        let mut picture_warnings = predicted.unary.result.warnings;
         picture_warnings.extend(agreement.warnings.iter().cloned());
         let rule = inputs.rule();
-        let mut without_image = inputs.without_image;
-        without_image.extend(&agreement.rejected);
-        without_image.sort_unstable();
+        let without_image = sorted(inputs.without_image, &agreement.rejected);
 
-        let seen = self.seen.result;
-        let clusters = self.clusters.result;
+        let seen = wanted.seen.result;
+        let clusters = predicted.clusters.result;
         Stages {
             own_size: inputs.own_size,
             mixes_sizes: inputs.matcher.mixes_sizes,
@@ -279,7 +302,7 @@ impl Found {
             image_gsd: inputs.image_gsd,
             place: inputs.place,
             metres: inputs.metres,
-            ground: self.ground,
+            ground: wanted.ground,
             image_faults: inputs.image_faults,
             settings: inputs.settings,
             surface_stats: seen.stats,
@@ -288,54 +311,71 @@ impl Found {
                 scene: inputs.scene,
                 surface: seen.surface,
                 visibility: seen.visibility,
-                shown: self.shown.result,
-                region: self.region,
-                target: self.target,
+                shown: wanted.shown.result,
+                region: wanted.region,
+                target: wanted.target,
                 without_image,
                 kept_for_tests: inputs.kept_for_tests,
-                twins: self.twins.result,
-                candidates: self.candidates.result,
-                unary: self.unary.result.unary,
+                twins: wanted.twins.result,
+                candidates: wanted.candidates.result,
+                unary: predicted.unary.result.unary,
                 agreement,
                 rule,
-                objective: self.objective,
+                objective: wanted.objective,
                 clusters: clusters.clusters,
                 fulfilment: clusters.fulfilment,
                 half: clusters.half,
                 pilot,
                 work,
             },
-            per_map,
+            per_map: inputs.matcher.numbers.work,
             known_ranking: ranking.result,
-            cached: Cached {
-                twins: self.twins.file,
-                surface: self.seen.file,
-                shown: self.shown.file,
-                candidates: self.candidates.file,
-                unary: self.unary.file,
-                agreement: agreement_file,
-                clusters: self.clusters.file,
-                pilot: pilot_file,
-                ranking: ranking.file,
-                made: None,
-            },
+            cached,
             memory,
         }
     }
 
+    fn cached(&self, pilot: Option<ResultFile>, ranking: ResultFile) -> Cached {
+        let Self { wanted, predicted } = self;
+        let agreement = predicted.agreement.as_ref();
+        Cached {
+            twins: wanted.twins.file.clone(),
+            surface: wanted.seen.file.clone(),
+            shown: wanted.shown.file.clone(),
+            candidates: wanted.candidates.file.clone(),
+            unary: predicted.unary.file.clone(),
+            agreement: agreement.map(|agreement| agreement.file.clone()),
+            clusters: predicted.clusters.file.clone(),
+            pilot,
+            ranking,
+            made: None,
+        }
+    }
+
+    fn work(&self, inputs: &Inputs) -> Vec<[f64; 2]> {
+        let (scale, per_map) = (inputs.settings.image_scale(), inputs.matcher.numbers.work);
+        work(
+            &inputs.scene,
+            scale,
+            per_map,
+            &self.predicted.clusters.clusters,
+        )
+    }
+
     /// Weighs the places of the pilot; `None` if none counts.
     fn counted(&self, places: Places, inputs: &Inputs) -> Option<CountedPlaces> {
-        let agreement = self.agreement.as_deref().unwrap_or(&NO_AGREEMENT);
+        let Self { wanted, predicted } = self;
+        let agreement = predicted.agreement.as_deref().unwrap_or(&NO_AGREEMENT);
         let settings = &inputs.settings.ranking;
         let rule = PlacesRule {
-            surface: &self.seen.surface,
-            region: self.region.as_ref(),
-            objective: &self.objective,
+            surface: &wanted.seen.surface,
+            region: wanted.region.as_ref(),
+            objective: &wanted.objective,
             weight: settings.weight,
             half_worth: settings.half_worth,
             sharpness: Sharpness::new(&inputs.scene, &agreement.detail),
         };
-        let Filed { result, .. } = &self.clusters;
+        let Filed { result, .. } = &predicted.clusters;
         CountedPlaces::new(
             Arc::new(places),
             &result.clusters,
@@ -351,21 +391,28 @@ impl Found {
         inputs: &Inputs,
         work: &[[f64; 2]],
     ) -> Filed<Option<UncutRanking>> {
-        let from = pilot_file.unwrap_or(&self.clusters.file);
-        let factors = self.region.as_ref().map(|region| &region.factors[..]);
+        let Self { wanted, predicted } = self;
+        let from = pilot_file.unwrap_or(&predicted.clusters.file);
+        let factors = wanted.region.as_ref().map(|region| &region.factors[..]);
         let file = inputs.fingerprints.ranking(
             &inputs.settings,
             &from.file,
-            (&self.objective, inputs.matcher.makes_maps),
+            (&wanted.objective, inputs.matcher.makes_maps),
             factors,
             work,
         );
-        let clusters = self.clusters.clusters.len();
-        let triangles = self.seen.surface.triangles.len();
+        let clusters = predicted.clusters.clusters.len();
+        let triangles = wanted.seen.surface.triangles.len();
         cached::read(file, |(), bytes| {
             cached::ranking::unpack(bytes, clusters, triangles)
         })
     }
+}
+
+fn sorted(mut views: Vec<ViewIndex>, further: &[ViewIndex]) -> Vec<ViewIndex> {
+    views.extend(further);
+    views.sort_unstable();
+    views
 }
 
 /// Returns the work of each cluster's map at full and at half size.

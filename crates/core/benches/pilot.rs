@@ -60,7 +60,8 @@ impl Pictures for Ground {
     }
 }
 
-fn main() {
+/// Cameras in rows of four above the ground.
+fn scene() -> Scene {
     let view = |i: u32| View {
         name: format!("{i}"),
         image_id: i,
@@ -80,7 +81,7 @@ fn main() {
     );
     // Depths from 6 to 11 units: about a hundred planes.
     let points: Vec<Point3<f64>> = vec![[1.5, 1.0, 6.0].into(), [1.5, 1.0, 11.0].into()];
-    let scene = Scene {
+    Scene {
         cameras: vec![camera.unwrap()],
         views: (0..VIEWS).map(view).collect(),
         track_offsets: (0..=points.len())
@@ -89,7 +90,11 @@ fn main() {
         track_views: (0..2 * VIEWS).map(|i| ViewIndex(i % VIEWS)).collect(),
         points,
         ..Scene::default()
-    };
+    }
+}
+
+fn main() {
+    let scene = scene();
     let partners = |key: u32| (1..=5).map(|i| ViewIndex((key + i) % VIEWS)).collect();
     let clusters: Vec<ViewCluster> = (0..VIEWS)
         .map(|key| ViewCluster {

@@ -251,14 +251,7 @@ impl Evaluation {
         measure: &EvaluationOptions,
         watcher: &dyn Watcher,
     ) -> Result<Self, TableError> {
-        let EvaluationOptions {
-            objective,
-            baselines,
-            so_far,
-            all_maps,
-            half,
-            ..
-        } = *measure;
+        let objective = measure.objective;
         let cells = measure.judged_cells(model, run, watcher)?;
         // The maps of the table are in the run's order.
         let order: Vec<u32> = (0..run.order.len() as u32).collect();
@@ -269,11 +262,9 @@ impl Evaluation {
             None => by_triangle.clone(),
         };
         let real = run.real_curve(objective, &run.order);
-        let orders = if baselines {
-            baselines::compare(run, model, objective, watcher)?
-        } else {
-            Vec::new()
-        };
+        let orders = measure
+            .baselines
+            .then(|| baselines::compare(run, model, objective, watcher));
         let names = |views: &[ViewIndex]| names_of(model.scene, views);
         let weighs = |t: usize| objective.weights[t] > 0.0;
         Ok(Self {
@@ -283,15 +274,17 @@ impl Evaluation {
             inside: objective.inside,
             triangles: (0..objective.weights.len()).filter(|&t| weighs(t)).count(),
             quality: QualityRow::new(&run.pooled(), run.has_reference),
-            reached: so_far,
-            all_maps,
+            reached: measure.so_far,
+            all_maps: measure.all_maps,
             predicted: by_triangle.total(),
             real: real.total(),
             kept: KeptWeight {
                 predicted: by_triangle.total_kept(),
                 real: real.total_kept(),
             },
-            half_size: half.map(|half| HalfSize::new(half, &real, objective)),
+            half_size: measure
+                .half
+                .map(|half| HalfSize::new(half, &real, objective)),
             gap: gaps(&predicted, &all, &agreeing),
             cells,
             curve: EvaluationCurves {
@@ -307,7 +300,7 @@ impl Evaluation {
             other_sizes: names(&run.other_sizes),
             other_partners: names(&run.other_partners),
             clouds: measure.clouds.clone(),
-            orders,
+            orders: orders.transpose()?.unwrap_or_default(),
         })
     }
 }

@@ -278,18 +278,13 @@ impl Contents {
         let frame = MapFrame::new(&plan.stages.scene, plan.stages.settings.surface.up);
         let surface = DrawnSurface::new(&plan.stages.surface);
         let (real, left_out) = Real::new(plan, project, &surface, folders, watcher)?;
-        let thumbnails = match &project.images {
-            Some(images) => thumbnails(plan, images, watcher)?,
-            None => BTreeMap::new(),
-        };
+        let images = project.images.as_ref();
+        let thumbnails = images.map(|images| thumbnails(plan, images, watcher));
         let holes = holes(plan, HOLES);
         let missing = ListedHoles::new(plan, &holes, &frame, watcher)?;
         let summary = RegionSummary::from_plan(plan);
         let region = summary.and_then(|summary| RegionData::new(plan, &summary, &surface, &frame));
-        // What the page says of the region is no warning as well.
-        let is_said =
-            |warning: &&String| region.as_ref().is_some_and(|r| r.words.contains(*warning));
-        let warnings = plan.warnings.iter().filter(|warning| !is_said(warning));
+        let warnings = warnings_beside(region.as_ref(), plan);
         Ok(Self {
             title: project.name(),
             tool: concat!("viewrank ", env!("CARGO_PKG_VERSION")),
@@ -305,7 +300,7 @@ impl Contents {
             cut: plan.decision.cut.clusters,
             finished: plan.decision.finished,
             limits: Limits::new(&plan.decision.cut),
-            warnings: warnings.cloned().chain(left_out).collect(),
+            warnings: warnings.chain(left_out).collect(),
             notes: exports.iter().flat_map(not_honoured).collect(),
             unregistered: plan.stages.scene.unregistered.clone(),
             kept_for_tests: plan.stages.kept_for_tests.len(),
@@ -327,12 +322,22 @@ impl Contents {
             far: FAR,
             usual_distance: holes.usual_distance,
             real,
-            thumbnails,
+            thumbnails: thumbnails.transpose()?.unwrap_or_default(),
             expected: expected(plan, watcher)?,
             most_thumbnails: MOST,
             ramp: RAMP,
         })
     }
+}
+
+/// Returns the warnings of a plan, but for what the page says of the region anyway.
+fn warnings_beside<'a>(
+    region: Option<&'a RegionData>,
+    plan: &'a Plan,
+) -> impl Iterator<Item = String> + 'a {
+    let is_said = move |warning: &str| region.is_some_and(|region| region.words.contains(warning));
+    let warnings = plan.warnings.iter();
+    warnings.filter(move |warning| !is_said(warning)).cloned()
 }
 
 /// Bounds and bands of the plan (method 5.2).
