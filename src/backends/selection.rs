@@ -15,10 +15,15 @@ use crate::{
         project::{ImageFaults, ImageFolder, Project, slashes},
     },
     model::{
+        camera::CameraModel,
         cluster::{MapScale, RankedCluster},
         scene::{PointIndex, Scene, ViewIndex, ViewPoints},
     },
 };
+
+/// What to do with panoramas, of which no undistorted images can be made.
+pub const CUT_PANORAMAS: &str =
+    "cut the panoramas into perspective views first, for instance with COLMAP's panorama_sfm.py";
 
 /// The chosen view clusters of a scene.
 #[derive(Clone, Copy, Debug)]
@@ -215,7 +220,8 @@ impl Selection<'_> {
         };
         // To undistort no images, or others than the model's, would fail next.
         self.images(backend)?;
-        let camera = self.scene.camera_of(view).model().name();
+        let model = self.scene.camera_of(view).model();
+        let camera = model.name();
         let hint = match self.project.undistorted_workspace() {
             Some(dense) => {
                 format!(
@@ -223,6 +229,7 @@ impl Selection<'_> {
                     command_path(&dense)
                 )
             }
+            None if model == CameraModel::Equirectangular => CUT_PANORAMAS.into(),
             None => {
                 let (root, model) = (self.project.as_argument(), &self.project.model);
                 let dense = command_path(&self.project.place_of_undistorted());
@@ -324,7 +331,7 @@ pub fn is_below(path: &str) -> bool {
 fn others_than(name: &str, folder: &ImageFolder) -> String {
     match folder.first_image() {
         Some(_) if folder.candidates_for(name).is_some() => " by its name".into(),
-        Some(other) => format!(", which has others ({other}; the model's is {name})"),
+        Some(other) => format!(", which has others ({other})"),
         None => String::new(),
     }
 }

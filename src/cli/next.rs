@@ -4,9 +4,10 @@ use std::path::Path;
 
 use super::arguments::typed_words;
 use crate::{
-    backends,
+    backends::{self, CUT_PANORAMAS},
     base::shell::{command_path, command_word, one_after_other},
     io::project::Project,
+    model::camera::CameraModel,
     plan::Plan,
     show::files::PlanFiles,
 };
@@ -82,12 +83,12 @@ pub fn next(
             .image_faults
             .is_any_usable(plan.stages.scene.views.len());
     let can_match = || cfg!(unix) && has_images && backend.is_some_and(backends::can_match_here);
-    let distorted = || {
-        plan.stages
-            .scene
-            .view_indices()
-            .any(|view| !plan.stages.scene.camera_of(view).is_pinhole())
+    let cameras = || {
+        let views = plan.stages.scene.view_indices();
+        views.map(|view| plan.stages.scene.camera_of(view))
     };
+    let distorted = || cameras().any(|camera| !camera.is_pinhole());
+    let panoramas = || cameras().any(|camera| camera.model() == CameraModel::Equirectangular);
     match (run.filter(|_| can_match()), &files.next) {
         (Some(run), _) => run,
         (None, Some(next)) => next.clone(),
@@ -100,6 +101,7 @@ pub fn next(
             let plan_of = |dense: &Path| again(&command_path(dense));
             match project.undistorted_workspace() {
                 Some(dense) => plan_of(&dense),
+                None if panoramas() => format!("{CUT_PANORAMAS}, then {}", again(&root)),
                 None => one_after_other(
                     &format!("viewrank undistort {root}"),
                     &plan_of(&project.place_of_undistorted()),

@@ -126,6 +126,19 @@ pub fn is_tiff_of_jpegs(tiff: &mut Decoder<impl Read + Seek>) -> TiffResult<bool
         }))
 }
 
+/// Where the last strip or tile of a TIFF's first picture ends, bytes; `None` of what is no TIFF.
+pub fn end_of_tiff(file: impl Read + Seek) -> Option<u64> {
+    let mut tiff = Decoder::new(file).ok()?;
+    let mut list = |tag| tiff.get_tag_u64_vec(tag).ok();
+    let [offsets, lengths] = match list(Tag::StripOffsets) {
+        Some(offsets) => [Some(offsets), list(Tag::StripByteCounts)],
+        None => [list(Tag::TileOffsets), list(Tag::TileByteCounts)],
+    };
+    let ends = offsets?.into_iter().zip(lengths?);
+    ends.map(|(offset, length)| offset.saturating_add(length))
+        .max()
+}
+
 fn refuse_tiff_of_jpegs(bytes: &[u8]) -> ImageResult<()> {
     if image::guess_format(bytes).ok() != Some(ImageFormat::Tiff)
         || !Decoder::new(Cursor::new(bytes))

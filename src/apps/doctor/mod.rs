@@ -18,11 +18,14 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::{
-    backends::{self, Backend, ExaminedProject},
+    backends::{self, Backend, CUT_PANORAMAS, ExaminedProject},
     base::shell::command_path,
     config::{Settings, UnknownBackend},
     io::project::{ImageFaults, Project},
-    model::scene::{Scene, ViewIndex, ViewPoints},
+    model::{
+        camera::{Camera, CameraModel},
+        scene::{Scene, ViewIndex, ViewPoints},
+    },
     show::manifest::planned_backend,
 };
 
@@ -279,12 +282,13 @@ fn traps(inputs: &Inputs) -> Vec<Finding> {
 
 /// Reports backends that need undistorted images where the cameras have lens distortion.
 fn distorted(inputs: &Inputs) -> Option<Finding> {
-    let of_view = |v: &ViewIndex| !inputs.scene.camera_of(*v).is_pinhole();
-    let camera = inputs
-        .scene
-        .camera_of(inputs.scene.view_indices().find(of_view)?)
-        .model()
-        .name();
+    let cameras = inputs.scene.view_indices();
+    let cameras = cameras.map(|view| inputs.scene.camera_of(view));
+    let models: Vec<CameraModel> = cameras
+        .filter(|camera| !camera.is_pinhole())
+        .map(Camera::model)
+        .collect();
+    let camera = models.first()?.name();
     let refuse: Vec<&'static str> = inputs
         .backends
         .iter()
@@ -297,10 +301,15 @@ fn distorted(inputs: &Inputs) -> Option<Finding> {
     );
     let cure = match inputs.project.undistorted_workspace() {
         Some(dense) => format!("viewrank plan {}", command_path(&dense)),
+        None if models.contains(&CameraModel::Equirectangular) => CUT_PANORAMAS.into(),
         None => format!("viewrank undistort {root}, then viewrank plan {own}"),
     };
-    let what =
-        format!("the cameras are {camera}, but these programs need images without lens distortion");
+    let whose = if models.len() == inputs.scene.views.len() {
+        format!("the cameras are {camera}")
+    } else {
+        format!("{} have {camera} cameras", counted(models.len(), "view"))
+    };
+    let what = format!("{whose}, but these programs need images without lens distortion");
     let finding = Finding::new(Severity::Note, "distorted-images", what, cure);
     (!refuse.is_empty()).then_some(Finding {
         backends: refuse,

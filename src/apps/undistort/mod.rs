@@ -20,6 +20,7 @@ use serde::{Deserialize, Serialize};
 pub use picture::UndistortImageError;
 
 use crate::{
+    backends::CUT_PANORAMAS,
     base::{
         error::{Advice, Hint},
         input::{self, FileKind},
@@ -470,19 +471,22 @@ impl Hint for UndistortError {
         Some(match self {
             Self::Project(error) => return error.hint(),
             Self::NoImages(_, hint) => hint.as_str().into(),
-            Self::OwnImages(_) | Self::OthersModel(_) => Advice::text("write to another folder with ").set("out"),
-            Self::NoPinhole { .. } => {
-                "cut the panoramas into perspective views first, for instance with COLMAP's panorama_sfm.py".into()
+            Self::OwnImages(_) | Self::OthersModel(_) => {
+                Advice::text("write to another folder with ").set("out")
             }
-            Self::Image { source: UndistortImageError::Size { .. }, .. } => {
-                "give the images that the model was made from, at their full size".into()
-            }
-            Self::Image { source: UndistortImageError::Format, .. } => {
-                "convert the images and their names in the model, or undistort with COLMAP".into()
-            }
-            Self::Image { source: UndistortImageError::Broken(image::ImageError::IoError(error)), .. }
-                if error.kind() == io::ErrorKind::NotFound =>
-            {
+            Self::NoPinhole { .. } => CUT_PANORAMAS.into(),
+            Self::Image {
+                source: UndistortImageError::Size { .. },
+                ..
+            } => "give the images that the model was made from, at their full size".into(),
+            Self::Image {
+                source: UndistortImageError::Format,
+                ..
+            } => "convert the images and their names in the model, or undistort with COLMAP".into(),
+            Self::Image {
+                source: UndistortImageError::Broken(image::ImageError::IoError(error)),
+                ..
+            } if error.kind() == io::ErrorKind::NotFound => {
                 "put the image there, or take it out of the model".into()
             }
             Self::Image { .. } => "replace the image, or take it out of the model".into(),

@@ -145,6 +145,71 @@ fn reduced_copies_are_taken_where_there_is_nothing_else() {
     assert_found(&folder, |n| format!("images/view_{n}.png"));
 }
 
+/// Writes pictures of a colour and a size under the names of the views into a folder.
+fn shots(folder: &Folder, place: &str, [width, height]: [u32; 2], colour: image::ColorType) {
+    let picture = image::DynamicImage::new(width, height, colour);
+    let mut png = std::io::Cursor::new(Vec::new());
+    picture.write_to(&mut png, image::ImageFormat::Png).unwrap();
+    for view in &scene().views {
+        folder.write(&format!("{place}/{}", view.name), png.get_ref());
+    }
+}
+
+#[test]
+fn photographs_come_before_their_masks_depths_and_reduced_copies() {
+    use image::ColorType::{L8, L16, Rgb8};
+    for (other, size, colour) in [
+        ("depth", [100, 75], L16),
+        ("annotations", [100, 75], Rgb8),
+        ("nir", [100, 75], L8),
+        ("lowres", [50, 38], Rgb8),
+        ("enlarged", [200, 150], Rgb8),
+    ] {
+        let folder = Folder::new();
+        folder.colmap("sparse/0", &ColmapModel::from_scene(&scene()));
+        shots(&folder, other, size, colour);
+        shots(&folder, "photos", [100, 75], Rgb8);
+        assert_found(&folder, |n| format!("photos/view_{n}.png"));
+        assert_eq!(folder.open().images.unwrap().rival, None, "{other}");
+    }
+}
+
+#[test]
+fn of_two_folders_that_look_the_same_the_other_is_named() {
+    let folder = Folder::new();
+    folder.colmap("sparse/0", &ColmapModel::from_scene(&scene()));
+    shots(&folder, "first", [100, 75], image::ColorType::Rgb8);
+    shots(&folder, "second", [100, 75], image::ColorType::Rgb8);
+    assert_found(&folder, |n| format!("first/view_{n}.png"));
+    let (_, stdout, _) = folder.plan(&["--backend", "images"]);
+    let words = stdout.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(words.contains("of the same names are in"), "{stdout}");
+    assert!(words.contains("/second"), "{stdout}");
+}
+
+#[test]
+fn developed_pictures_stand_for_raw_ones() {
+    let folder = Folder::new();
+    let raw = renamed(|n| format!("view_{n}.CR2"));
+    folder.colmap("sparse/0", &raw);
+    for n in 0..9 {
+        folder.write(&format!("images/view_{n}.CR2"), b"II*\0\x10\0\0\0CR\x02\0");
+    }
+    let (code, stdout, stderr) = folder.plan(&["--backend", "openmvs"]);
+    assert_eq!(code, 1, "{stderr}");
+    assert!(stderr.contains("view_0.CR2 is a raw picture"), "{stderr}");
+    assert!(
+        stdout.contains("Next: put the developed pictures"),
+        "{stdout}"
+    );
+    folder.pictures(&scene(), |name| {
+        format!("images/{}", name.replace("png", "JPG"))
+    });
+    assert_found(&folder, |n| format!("images/view_{n}.JPG"));
+    let (code, _, stderr) = folder.plan(&["--backend", "openmvs"]);
+    assert_eq!(code, 0, "{stderr}");
+}
+
 #[test]
 fn files_that_macos_hides_are_no_images_and_no_models() {
     let folder = Folder::new();

@@ -56,6 +56,81 @@ fn taken(folder: &Folder) -> (String, String) {
 }
 
 #[test]
+fn a_model_that_is_a_pointer_is_not_passed_over() {
+    let pointer = b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n";
+    for file in ["images", "points3D"] {
+        let folder = Folder::new();
+        folder.pictures(&scene(), |name| format!("images/{name}"));
+        folder.colmap("sparse/0", &model());
+        part(&folder, "sparse/1", 5);
+        folder.write(&format!("sparse/0/{file}.bin"), pointer);
+        let (code, _, stderr) = folder.plan(&[]);
+        assert_eq!(code, 1, "{stderr}");
+        let file = format!("sparse/0/{file}.bin is a Git LFS pointer");
+        assert!(stderr.contains(&file), "{stderr}");
+        assert!(stderr.contains("to plan without it: --model 1"), "{stderr}");
+        let (code, _, stderr) = folder.plan(&["--model", "1"]);
+        assert_eq!(code, 0, "{stderr}");
+    }
+}
+
+#[test]
+fn the_models_that_instant_ngp_is_made_from_come_before_its_own() {
+    let folder = Folder::new();
+    folder
+        .colmap_text("colmap_text", &model())
+        .write("transforms.json", transforms(&scene()))
+        .pictures(&scene(), |name| format!("images/{name}"));
+    assert_eq!(taken(&folder).0, "colmap_text");
+    let folder = Folder::new();
+    folder.colmap("colmap_sparse/0", &model());
+    assert_eq!(taken(&folder).0, "colmap_sparse/0");
+}
+
+#[test]
+fn a_model_that_is_passed_over_is_planned_by_itself() {
+    let folder = Folder::new();
+    folder.pictures(&scene(), |name| format!("images/{name}"));
+    folder.colmap("sparse/0", &model());
+    part(&folder, "sparse/1", 5);
+    let (_, _, stderr) = folder.plan(&[]);
+    let other = folder.at("sparse/1");
+    let command = format!("viewrank plan {}", other.display());
+    assert!(stderr.contains(&command), "{stderr}");
+    let (code, _, stderr) = said(&viewrank(&["plan", other.to_str().unwrap()]));
+    assert_eq!(code, 0, "{stderr}");
+}
+
+#[test]
+fn images_that_a_list_of_a_trainer_names_are_kept_for_tests() {
+    for (list, names) in [
+        ("sparse/0/test.txt", "view_2.png\nview_7.png\n"),
+        ("test_list.txt", "view_7.png\r\nview_2.png\r\nother.png\r\n"),
+    ] {
+        let folder = Folder::new();
+        folder.colmap("sparse/0", &model()).write(list, names);
+        folder.pictures(&scene(), |name| format!("images/{name}"));
+        let (code, _, stderr) = folder.plan(&["--backend", "splat", "--budget", "9"]);
+        assert_eq!(code, 0, "{stderr}");
+        let written =
+            |name| fs::read_to_string(folder.at(&format!("viewrank/splat/{name}"))).unwrap();
+        let trained = written("train_list.txt");
+        assert_eq!(written("test_list.txt"), "view_2.png\nview_7.png\n");
+        assert!(
+            !trained.contains("view_2") && !trained.contains("view_7"),
+            "{trained}"
+        );
+    }
+    // Of all images none would be left.
+    let folder = Folder::new();
+    let all: String = (0..9).map(|n| format!("view_{n}.png\n")).collect();
+    folder
+        .colmap("sparse/0", &model())
+        .write("test_list.txt", all);
+    assert_eq!(folder.read().tests, []);
+}
+
+#[test]
 fn tracks_come_before_more_images_without() {
     let folder = Folder::new();
     folder.colmap("sparse/0", &without_tracks());
@@ -363,7 +438,7 @@ fn disabled_cameras_and_lesser_components_are_left_out() {
         .map(|warning| &*warning.text)
         .collect();
     assert!(
-        text.iter().any(|text| text.contains("1 disabled cameras")),
+        text.iter().any(|text| text.contains("disabled camera b is")),
         "{text:?}"
     );
     assert!(

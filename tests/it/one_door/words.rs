@@ -407,6 +407,106 @@ fn pictures_that_no_program_reads_are_to_be_converted() {
     }
 }
 
+#[test]
+fn pictures_that_are_cut_off_are_no_export_whatever_their_format() {
+    let formats = [
+        ("jpg", image::ImageFormat::Jpeg),
+        ("png", image::ImageFormat::Png),
+        ("tif", image::ImageFormat::Tiff),
+    ];
+    for (extension, format) in formats {
+        let (mut scene, folder) = (scene(), Folder::new());
+        let mut picture = std::io::Cursor::new(Vec::new());
+        let grey = image::GrayImage::from_fn(100, 75, |x, y| image::Luma([(x * y) as u8]));
+        grey.write_to(&mut picture, format).unwrap();
+        for view in &mut scene.views {
+            view.name = view.name.replace("png", extension);
+            folder.write(&format!("images/{}", view.name), picture.get_ref());
+        }
+        folder.colmap("sparse/0", &ColmapModel::from_scene(&scene));
+        let (code, _, stderr) = folder.plan(&["--backend", "openmvs"]);
+        assert_eq!(code, 0, "{extension}: {stderr}");
+        let whole = picture.get_ref();
+        for view in &scene.views {
+            // The directory of this TIFF is behind its pixels: its readers would find nothing.
+            let mut cut = whole[..whole.len() / 2].to_vec();
+            if format == image::ImageFormat::Tiff {
+                cut = tiff_with_directory_first();
+            }
+            folder.write(&format!("images/{}", view.name), cut);
+        }
+        let (code, stdout, stderr) = folder.plan(&["--backend", "openmvs"]);
+        assert_eq!(code, 1, "{extension}: {stderr}");
+        assert!(stderr.contains("is truncated"), "{extension}: {stderr}");
+        assert!(stdout.contains("Next: copy them again"), "{stdout}");
+    }
+}
+
+/// A TIFF of 100 by 75 grey pixels, all of which are missing.
+fn tiff_with_directory_first() -> Vec<u8> {
+    let (short, long) = (3u16, 4u16);
+    let tags = [
+        (256u16, short, 100u32),
+        (257, short, 75),
+        (258, short, 8),
+        (259, short, 1),
+        (262, short, 1),
+        (273, long, 200),
+        (277, short, 1),
+        (278, short, 75),
+        (279, long, 7500),
+    ];
+    let mut bytes = b"II*\0\x08\0\0\0".to_vec();
+    bytes.extend((tags.len() as u16).to_le_bytes());
+    for (tag, kind, value) in tags {
+        bytes.extend(tag.to_le_bytes());
+        bytes.extend(kind.to_le_bytes());
+        bytes.extend(1u32.to_le_bytes());
+        bytes.extend(value.to_le_bytes());
+    }
+    bytes.extend([0; 4]);
+    bytes
+}
+
+#[test]
+fn a_mask_that_is_a_pointer_is_said_to_be_one() {
+    let folder = Folder::new();
+    let pointer = b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n";
+    folder
+        .colmap("sparse/0", &ColmapModel::from_scene(&scene()))
+        .pictures(&scene(), |name| format!("images/{name}"));
+    for view in &scene().views {
+        folder.write(&format!("masks/{}.png", view.name), pointer);
+    }
+    let path = folder.path().to_str().unwrap();
+    let (_, _, stderr) = said(&viewrank(&["plan", path, "--backend", "openmvs"]));
+    assert!(stderr.contains("its mask: a Git LFS pointer"), "{stderr}");
+}
+
+#[test]
+fn panoramas_are_to_be_cut_before_anything_else() {
+    let folder = Folder::new();
+    let mut model = ColmapModel::from_scene(&scene());
+    model.cameras[0] =
+        Camera::new(1, CameraModel::Equirectangular, 100, 75, vec![100.0, 75.0]).unwrap();
+    folder
+        .colmap("sparse/0", &model)
+        .pictures(&scene(), |name| format!("images/{name}"));
+    let (_, stdout, stderr) = folder.plan(&["--backend", "openmvs"]);
+    assert!(
+        stdout.contains("Next: cut the panoramas"),
+        "{stdout}{stderr}"
+    );
+    assert!(
+        stderr.contains("EQUIRECTANGULAR: cut the panoramas"),
+        "{stderr}"
+    );
+    let path = folder.path().to_str().unwrap();
+    let (_, stdout, _) = said(&viewrank(&["doctor", path]));
+    assert!(stdout.contains("cut the panoramas"), "{stdout}");
+    assert!(!stdout.contains("viewrank undistort"), "{stdout}");
+}
+
 /// A block without distortion, in a reference system, its photos seen from 10 above.
 fn block(definition: &str) -> String {
     let photo = |id: usize| {

@@ -316,6 +316,7 @@ fn open(picture: Checked, bound: PixelBound) -> Result<DynamicImage, ImageError>
 /// Decodes a mask: black pixels must not be used.
 pub fn mask(bytes: &[u8], bound: PixelBound) -> Result<Mask, ImageError> {
     let picture = Checked::new(bytes)?;
+    image::guess_format(bytes).map_err(|_| unknown(bytes))?;
     let _turn = picture.turn();
     let image = open(picture, bound)?;
     let (width, height) = (image.width(), image.height());

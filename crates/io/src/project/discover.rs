@@ -23,7 +23,7 @@ use crate::{
         colmap::{ColmapImage, StoredPose},
         colmap_text,
     },
-    input,
+    input, mistaken,
     paths::sub_folders,
 };
 
@@ -84,7 +84,7 @@ fn kind_of(root: &Path, model: &ModelLocation, dense_workspace: Option<&Path>) -
 
 fn image_folder(root: &Path, model: &ModelLocation) -> Option<ImageFolder> {
     if model.format.is_colmap() {
-        return folder::find(root, &model.path, None, &files::first_names(model));
+        return folder::find(root, &model.path, None, &files::sought_images(model));
     }
     // It cannot be read, which reading the scene says, or has no names.
     if model.registered == 0 {
@@ -150,8 +150,10 @@ fn models(root: &Path) -> Result<Vec<ModelLocation>, ProjectError> {
 }
 
 /// Folders of a project that programs name: COLMAP's own is the project, nerfstudio has a `colmap`,
-/// the scripts of 3D Gaussian Splatting have a `distorted`.
-pub const FOLDERS_OF_PROGRAMS: [&str; 3] = ["", "colmap", "distorted"];
+/// the scripts of 3D Gaussian Splatting have a `distorted`, those of instant-ngp `colmap_sparse` and
+/// `colmap_text`.
+pub const FOLDERS_OF_PROGRAMS: [&str; 5] =
+    ["", "colmap", "distorted", "colmap_sparse", "colmap_text"];
 /// Folders of Meshroom's nodes that have models, each in a folder named by a hash.
 const NODES_OF_MESHROOM: [&str; 2] = ["StructureFromMotion", "ConvertSfMFormat"];
 /// Folder of the dense workspaces of a project.
@@ -361,6 +363,9 @@ fn choose(
             })?
         }
     };
+    if wanted.is_none() {
+        refuse_pointers(&models)?;
+    }
     let model = models.remove(position);
     // Beside COLMAP's models with tracks, others have not been read yet.
     let is_unread = !model.format.is_colmap() && models.iter().any(|m| m.format.is_colmap());
@@ -401,6 +406,31 @@ fn check_any(path: &Path, root: &Path, models: &[ModelLocation]) -> Result<(), P
         path: path.into(),
         looked_for,
     })
+}
+
+/// Fails where a model that would be passed over is only a pointer to it: it may be the larger one.
+fn refuse_pointers(models: &[ModelLocation]) -> Result<(), ProjectError> {
+    let Some((used, others)) = models.split_first() else {
+        return Ok(());
+    };
+    let files = others.iter().flat_map(|model| {
+        if model.format.is_colmap() {
+            REQUIRED
+                .map(|stem| colmap_file(&model.path, stem, model.format))
+                .to_vec()
+        } else {
+            vec![model.path.clone()]
+        }
+    });
+    let pointer = |path: PathBuf| Some((mistaken::pointer(&path)?, path));
+    match files.into_iter().find_map(pointer) {
+        None => Ok(()),
+        Some((mistaken, path)) => Err(ProjectError::NotFetched {
+            path,
+            mistaken,
+            used: used.name.clone(),
+        }),
+    }
 }
 
 /// Position of the model that is meant by its path, else by its name, else by the end of its path.

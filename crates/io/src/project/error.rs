@@ -48,6 +48,13 @@ pub enum ProjectError {
     Fault { path: PathBuf, fault: Fault },
     #[error("{path} is {}", mistaken.what)]
     Mistaken { path: PathBuf, mistaken: Mistaken },
+    #[error("{path} is {}", mistaken.what)]
+    NotFetched {
+        path: PathBuf,
+        mistaken: Mistaken,
+        /// Name of the model that is there.
+        used: String,
+    },
     #[error("the model {0} has changed since it was read")]
     ModelChanged(PathBuf),
     #[error("the images {:?} and {:?} of the model {path} are one file", names[0], names[1])]
@@ -130,6 +137,9 @@ impl Hint for ProjectError {
             Self::Io { .. } => "check that the file exists and is readable".into(),
             Self::Fault { fault, .. } => fault.problem.hint().into(),
             Self::Mistaken { mistaken, .. } => mistaken.cure.into(),
+            Self::NotFetched { mistaken, used, .. } => {
+                Advice::text(format!("{}; to plan without it: ", mistaken.cure)).set_to("model", used)
+            }
             Self::ModelChanged(_) => "once the model is complete, read it and plan again; nothing was written".into(),
             Self::OneFile { names, .. } => format!(
                 "take one of the two out of the model, as \"{}\", or give each a file of its own", names[1]
@@ -152,6 +162,7 @@ impl Hint for ProjectError {
             | Self::NoSuchModel { path, .. }
             | Self::Io { path, .. }
             | Self::Mistaken { path, .. }
+            | Self::NotFetched { path, .. }
             | Self::OneFile { path, .. }
             | Self::Fault { path, .. } => Some(path),
         }

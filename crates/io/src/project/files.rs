@@ -1,14 +1,17 @@
 //! Reads the files of a COLMAP model.
 
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, HashSet},
     fs::File,
     io::{self, BufRead, BufReader, Read},
     path::{Path, PathBuf},
 };
 
+use viewrank_core::model::camera::Camera;
+
 use super::{
-    ModelContents, ModelFormat, ModelLocation, ProjectError, complete::cloud_beside, images::PROBED,
+    ModelContents, ModelFormat, ModelLocation, ProjectError, complete::cloud_beside,
+    folder::SoughtImages, images::PROBED,
 };
 use crate::{
     formats::{
@@ -71,20 +74,40 @@ pub(super) fn poses(model: &ModelLocation) -> Option<BTreeMap<String, StoredPose
     .ok()
 }
 
-/// Returns whether any camera of a COLMAP model has lens distortion; `None` if they cannot be read.
-pub(super) fn is_distorted(model: &ModelLocation) -> Option<bool> {
+/// Cameras of a COLMAP model, without reading the rest of it; `None` if they cannot be read.
+fn cameras(model: &ModelLocation) -> Option<Vec<Camera>> {
     let cameras = read(&colmap_file(&model.path, "cameras", model.format)).ok()?;
     let is_text = model.format == ModelFormat::ColmapText;
-    let cameras = if is_text {
+    if is_text {
         colmap_text::cameras(&cameras)
     } else {
         colmap_bin::cameras(&cameras)
-    };
-    Some(cameras.ok()?.iter().any(|camera| !camera.is_pinhole()))
+    }
+    .ok()
 }
 
-/// Names of the first images of a COLMAP model, by reading little of its file; empty if that fails.
-pub(super) fn first_names(model: &ModelLocation) -> Vec<String> {
+/// Returns whether any camera of a COLMAP model has lens distortion; `None` if they cannot be read.
+pub(super) fn is_distorted(model: &ModelLocation) -> Option<bool> {
+    Some(cameras(model)?.iter().any(|camera| !camera.is_pinhole()))
+}
+
+/// Width and height of each camera of a COLMAP model; none if they cannot be read.
+fn camera_sizes(model: &ModelLocation) -> HashSet<[u32; 2]> {
+    let cameras = cameras(model).unwrap_or_default();
+    let size = |camera: &Camera| [camera.width, camera.height];
+    cameras.iter().map(size).collect()
+}
+
+/// What is known of the images of a COLMAP model by reading little of its files.
+pub(super) fn sought_images(model: &ModelLocation) -> SoughtImages<'_> {
+    SoughtImages {
+        names: first_names(model),
+        sizes: Box::new(|| camera_sizes(model)),
+    }
+}
+
+/// Names of the first images of a COLMAP model; empty if they cannot be read.
+fn first_names(model: &ModelLocation) -> Vec<String> {
     let file = input::open(&colmap_file(&model.path, "images", model.format));
     let Ok(file) = file.map(BufReader::new) else {
         return Vec::new();

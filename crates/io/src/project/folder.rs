@@ -2,7 +2,8 @@
 //! names are spelled otherwise there.
 
 use std::{
-    collections::HashMap,
+    cmp::Reverse,
+    collections::{HashMap, HashSet},
     ops::Deref,
     path::{Path, PathBuf},
     sync::{Arc, OnceLock},
@@ -14,10 +15,12 @@ use super::{
     image_files::{MOST_ENTRIES, images_below, is_image},
     names::{Names, last, take_names_of_files},
     other_names::{Others, others},
+    probe::kind_by_header,
 };
 use crate::{
     formats::colmap::ColmapModel,
     input::{self, FileKind},
+    mistaken,
     output::Contents,
 };
 
@@ -52,12 +55,27 @@ const NOT_SEARCHED: [&str; 13] = [
     "export",
 ];
 
+/// What the names of folders begin with whose images programs have made from photographs.
+const RESULTS: [&str; 9] = [
+    "annotation",
+    "blur",
+    "conf",
+    "depth",
+    "label",
+    "mask",
+    "normal",
+    "seg",
+    "thumb",
+];
+
 /// Folder to which the image names of a model are relative. Dereferences to its path.
 #[derive(Clone, Debug)]
 pub struct ImageFolder {
     path: PathBuf,
     /// The path is neither given by the user or the model nor one of the usual places.
     pub is_searched: bool,
+    /// Another folder whose images have the same names, and may as well be meant.
+    pub rival: Option<PathBuf>,
     /// The images that are not there under their names. Known once the model is read.
     others: Arc<OnceLock<Others>>,
     /// The masks that the model names, by the names of their images. Known once the model is read.
@@ -69,6 +87,7 @@ impl ImageFolder {
         Self {
             path: path.into(),
             is_searched: false,
+            rival: None,
             others: Arc::default(),
             masks: Arc::default(),
         }
@@ -167,8 +186,10 @@ impl ImageFolder {
         let spelled = take_names_of_files(model, Some(&self.path));
         self.others.get_or_init(|| {
             let names = model.images.iter().map(|image| &*image.name);
-            let is_missing =
-                |name: &&str| spelled.contains_key(*name) || !self.path.join(name).exists();
+            let is_missing = |name: &&str| {
+                let is_raw = mistaken::raw_picture(Path::new(name)).is_some();
+                is_raw || spelled.contains_key(*name) || !self.path.join(name).exists()
+            };
             let (missing, there): (Vec<&str>, Vec<&str>) = names.partition(is_missing);
             let path = |name| spelled.get(name).map_or(name, String::as_str);
             let missing: Vec<(&str, &str)> =
@@ -286,55 +307,75 @@ fn colmap_image_path(folder: &Path) -> Option<String> {
     (!path.is_empty()).then(|| path.into())
 }
 
+/// What is known of a model's images before they are found.
+pub(super) struct SoughtImages<'a> {
+    /// Names of the first.
+    pub names: Vec<String>,
+    /// Width and height of the cameras, which are looked up where several folders have the names.
+    pub sizes: Box<dyn Fn() -> HashSet<[u32; 2]> + 'a>,
+}
+
 /// Finds the image folder: the first usual place that holds one of the `names`; else, of the usual
 /// places and the folders below the project, the one that holds most of them, under their names if
-/// any is, else spelled otherwise; else a reduced copy; else the usual place that exists, where the
+/// any is, else spelled otherwise, and of several the one that [`Look`] prefers; else a reduced copy; else the usual place that exists, where the
 /// user should put them. `named`: the folder that the model names.
 pub(super) fn find(
     root: &Path,
     model: &Path,
     named: Option<PathBuf>,
-    names: &[String],
+    sought: &SoughtImages,
 ) -> Option<ImageFolder> {
+    let names = &sought.names;
     let usual: Vec<PathBuf> = named.into_iter().chain(usual(root, model)).collect();
     let holds_one = |folder: &&PathBuf| names.iter().any(|name| folder.join(name).is_file());
     if let Some(folder) = usual.iter().find(holds_one) {
         return Some(ImageFolder::new(folder));
     }
-    let path = searched(root, model, &usual, names).or_else(|| {
+    let found = searched(root, model, &usual, sought).or_else(|| {
         let is_own = |folder: &Path| folder == root || model.starts_with(folder);
-        usual.iter().find(|folder| !is_own(folder)).cloned()
+        let own = usual.iter().find(|folder| !is_own(folder));
+        own.map(ImageFolder::new)
     })?;
     Some(ImageFolder {
-        is_searched: !usual.contains(&path),
-        ..ImageFolder::new(path)
+        is_searched: !usual.contains(&found.path),
+        ..found
     })
 }
 
 /// The folder that holds most of the names, of the usual places and those below the project, else
 /// of the reduced copies; one above it in the project if more of the images are in other folders
 /// there.
-fn searched(root: &Path, model: &Path, usual: &[PathBuf], names: &[String]) -> Option<PathBuf> {
+fn searched(
+    root: &Path,
+    model: &Path,
+    usual: &[PathBuf],
+    sought: &SoughtImages,
+) -> Option<ImageFolder> {
+    let names = &sought.names;
     if names.is_empty() {
         return None;
     }
     let search = Names::new();
     let folders = [usual, &folders_below(root)].concat();
-    let best = holding_most(&folders, names, &search)
-        .or_else(|| holding_most(&reduced(root, model), names, &search))?;
-    let mut widest = (held_below(&best, names), best.clone());
+    let best = holding_most(&folders, sought, &search)
+        .or_else(|| holding_most(&reduced(root, model), sought, &search))?;
+    let mut widest = (held_below(&best, names), best.path.clone());
     // One photograph that a folder lacks is not that of another flight: cameras begin to count anew.
     if widest.0 * 4 >= names.len() * 3 {
         return Some(best);
     }
-    let above = best.ancestors().skip(1);
+    let above = best.path.ancestors().skip(1);
     for folder in above.take_while(|folder| folder.starts_with(root)) {
         let held = held_below(folder, names);
         if held > widest.0 {
             widest = (held, folder.into());
         }
     }
-    Some(widest.1)
+    Some(if widest.1 == best.path {
+        best
+    } else {
+        ImageFolder::new(widest.1)
+    })
 }
 
 /// Number of the names of which a folder has the file, in whatever folder below it.
@@ -352,16 +393,64 @@ pub(super) fn holds_any(folder: &Path, names: &[String]) -> bool {
     Held::new(folder, names, &Names::new()) > Held::default()
 }
 
-/// The first of the folders that hold most of the names; `None` if none holds any.
-fn holding_most(folders: &[PathBuf], names: &[String], search: &Names) -> Option<PathBuf> {
-    let mut best = (Held::default(), None);
+/// Of the folders that hold most of the names, the one that looks best, and the first of these;
+/// `None` if none holds any.
+fn holding_most(folders: &[PathBuf], sought: &SoughtImages, search: &Names) -> Option<ImageFolder> {
+    let mut best: (Held, Vec<&PathBuf>) = Default::default();
     for folder in folders {
-        let held = Held::new(folder, names, search);
+        let held = Held::new(folder, &sought.names, search);
         if held > best.0 {
-            best = (held, Some(folder));
+            best = (held, vec![folder]);
+        } else if held == best.0 && !best.1.is_empty() && !best.1.contains(&folder) {
+            best.1.push(folder);
         }
     }
-    best.1.cloned()
+    let rivals = match best.1[..] {
+        [] => return None,
+        [only] => return Some(ImageFolder::new(only)),
+        _ => best.1,
+    };
+    let sizes = (sought.sizes)();
+    let looked_at = rivals
+        .into_iter()
+        .map(|folder| (Look::of(folder, sought, &sizes, search), folder));
+    let mut looks: Vec<(Look, &PathBuf)> = looked_at.collect();
+    looks.sort_by_key(|(look, _)| Reverse(*look));
+    let rival = looks[1..].iter().find(|(look, _)| *look == looks[0].0);
+    Some(ImageFolder {
+        rival: rival.map(|(_, folder)| folder.to_path_buf()),
+        ..ImageFolder::new(looks[0].1)
+    })
+}
+
+/// How much the first image in a folder looks like the photograph that a name means, rather than a
+/// reduced copy, its mask, its depths or another result, in order of significance.
+#[derive(Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord)]
+struct Look {
+    has_size_of_camera: bool,
+    is_named_as_source: bool,
+    is_coloured: bool,
+    pixels: u64,
+}
+
+impl Look {
+    fn of(folder: &Path, sought: &SoughtImages, sizes: &HashSet<[u32; 2]>, search: &Names) -> Self {
+        let is_result = |word: &&str| {
+            let name = last(folder.to_str().unwrap_or_default()).to_lowercase();
+            name.starts_with(*word)
+        };
+        let is_named_as_source = !RESULTS.iter().any(|word| is_result(&word));
+        let mut located = sought.names.iter();
+        let file = located.find_map(|name| search.locate(folder, name));
+        let header = file.and_then(|file| kind_by_header(&folder.join(file)));
+        let (size, is_coloured) = header.unwrap_or_default();
+        Self {
+            has_size_of_camera: sizes.contains(&size),
+            is_named_as_source,
+            is_coloured,
+            pixels: u64::from(size[0]) * u64::from(size[1]),
+        }
+    }
 }
 
 /// The folders below the project that may hold its images, itself first.
@@ -422,7 +511,11 @@ pub(super) mod tests {
         let root = folder.path();
         std::fs::create_dir_all(root.join("sparse/0")).unwrap();
         let names: Vec<String> = names.iter().map(|name| (*name).to_owned()).collect();
-        let found = find(root, &root.join("sparse/0"), None, &names)?;
+        let sought = SoughtImages {
+            names,
+            sizes: Box::new(HashSet::new),
+        };
+        let found = find(root, &root.join("sparse/0"), None, &sought)?;
         Some((
             slashes(found.strip_prefix(root).unwrap()),
             found.is_searched,

@@ -13,7 +13,8 @@ use viewrank_core::{
 };
 
 use super::{
-    ImageFolder, MASKS, Project, folder,
+    ImageFolder, MASKS, Project,
+    folder::{self, SoughtImages},
     image_files::{images_below, without_masks},
     names::Names,
     probe::{Unread, probe, size_by_header},
@@ -48,9 +49,15 @@ pub(super) fn find_by_names(
         .take(PROBED)
         .map(|image| image.name.to_string())
         .collect();
+    let cameras = foreign.model.cameras.iter();
+    let sizes: HashSet<[u32; 2]> = cameras.map(|c| [c.width, c.height]).collect();
+    let sought = SoughtImages {
+        names,
+        sizes: Box::new(|| sizes.clone()),
+    };
     // The folder of the model alone says nothing.
-    folder::find(root, model, named, &names)
-        .filter(|found| found.ends_with("images") || folder::holds_any(found, &names))
+    folder::find(root, model, named, &sought)
+        .filter(|found| found.ends_with("images") || folder::holds_any(found, &sought.names))
 }
 
 /// Most names that are looked for in vain: each takes up to a hundred calls of the system, and a

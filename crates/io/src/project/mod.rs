@@ -15,6 +15,7 @@ mod names;
 mod originals;
 mod other_names;
 mod probe;
+mod test_lists;
 
 use std::{
     collections::{BTreeMap, HashMap, HashSet},
@@ -379,6 +380,9 @@ impl Project {
     pub fn read_scene(&self) -> Result<Scene, ProjectError> {
         let scene = self.scene_of_files();
         let mut scene = scene.map_err(|error| error.explained(&self.named))?;
+        if scene.tests.is_empty() {
+            scene.tests = self.listed_tests(&scene);
+        }
         let others = self.sub_model_warning(scene.views.len());
         scene
             .warnings
@@ -630,11 +634,16 @@ impl Project {
         let more = self.other_models.len().saturating_sub(NAMED);
         others.extend((more > 0).then(|| format!("{more} more")));
         (!others.is_empty() && !self.model_is_named).then(|| {
-            let used = self.model_path();
-            format!(
-                "the model is {used} ({registered} images), not {} (--model names another)",
-                others.join(" or ")
-            )
+            let (used, others) = (self.model_path(), others.join(" or "));
+            // A folder holds one plan.
+            let next = self.other_models.iter().find(|model| model.path.is_dir());
+            let how = next.map_or("--model names another".into(), |next| {
+                format!(
+                    "plan another by itself: viewrank plan {}",
+                    command_path(&next.path)
+                )
+            });
+            format!("the model is {used} ({registered} images), not {others} ({how})")
         })
     }
 }

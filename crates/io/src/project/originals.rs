@@ -105,7 +105,7 @@ fn colmap_cameras(folder: &Path) -> Option<ModelLocation> {
 
 /// Returns whether a folder is that of a distorted model's images.
 fn is_folder_of(project: &Path, distorted: &ModelLocation, images: &Path) -> bool {
-    let names = files::first_names(distorted);
-    folder::find(project, &distorted.path, None, &names)
+    let sought = files::sought_images(distorted);
+    folder::find(project, &distorted.path, None, &sought)
         .is_some_and(|own| paths::is_same(&own, images))
 }

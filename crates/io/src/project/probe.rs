@@ -6,7 +6,7 @@ use std::{
     path::Path,
 };
 
-use image::ImageFormat;
+use image::{ImageDecoder, ImageFormat};
 use viewrank_core::base::pixels::most_photographed_pixels;
 
 use crate::{input, mistaken, picture};
@@ -27,6 +27,9 @@ pub enum Unread {
 /// formats that cannot be checked.
 pub fn probe(path: &Path) -> Result<Option<[u32; 2]>, Unread> {
     let (file, length) = open(path)?;
+    if let Some(raw) = mistaken::raw_picture(path) {
+        return Err(Unread::Broken(raw.what));
+    }
     let mut file = BufReader::with_capacity(TAIL as usize, file);
     let can_be_checked = ImageFormat::from_path(path).is_ok_and(|format| format.reading_enabled());
     match dimensions(&mut file, length) {
@@ -78,8 +81,8 @@ const PNG_SIGNATURE: &[u8] = b"\x89PNG\r\n\x1a\n";
 /// don't read.
 const PNG_END: &[u8] = b"\0\0\0\0IEND";
 
-/// Returns whether a JPEG or PNG file lacks the mark of its end; other bytes may follow it. JPEG's
-/// cannot occur by chance in scan data (ITU T.81, B.1.1.5), but it can occur before the first scan,
+/// Returns whether a JPEG or PNG file lacks the mark of its end, or a TIFF ends before its pixels;
+/// other bytes may follow. JPEG's mark cannot occur by chance in scan data (ITU T.81, B.1.1.5), but it can occur before the first scan,
 /// in an embedded thumbnail.
 fn is_truncated(file: &mut BufReader<File>, length: u64) -> io::Result<bool> {
     file.rewind()?;
@@ -89,7 +92,8 @@ fn is_truncated(file: &mut BufReader<File>, length: u64) -> io::Result<bool> {
         start.starts_with(PNG_SIGNATURE),
     );
     if !is_jpeg && !is_png {
-        return Ok(false);
+        file.rewind()?;
+        return Ok(picture::end_of_tiff(file).is_some_and(|end| end > length));
     }
     let end = if is_jpeg { END_OF_IMAGE } else { PNG_END };
     if length > TAIL {
@@ -163,6 +167,16 @@ fn dimensions(file: &mut BufReader<File>, length: u64) -> Option<[u32; 2]> {
 /// Width and height of an image file, wherever they are in it.
 pub(super) fn size_by_header(path: &Path) -> Option<(u32, u32)> {
     picture::size(BufReader::new(input::open(path).ok()?)).map(Into::into)
+}
+
+/// Width and height of an image file by its header, wherever they are in it, and whether it has
+/// colours.
+pub(super) fn kind_by_header(path: &Path) -> Option<([u32; 2], bool)> {
+    let decoder = picture::header(BufReader::new(input::open(path).ok()?)).ok()?;
+    Some((
+        decoder.dimensions().into(),
+        decoder.color_type().has_color(),
+    ))
 }
 
 #[cfg(test)]

@@ -13,11 +13,11 @@ use rayon::prelude::*;
 use super::{Site, Waypoint, candidates};
 use crate::{
     base::{kd_tree::KdTree, median::upper_median},
-    method::region::{Ground, GroundCell},
+    method::region::{Ground, GroundCell, GroundPlane},
     model::{
         camera::Camera,
         georeference::MapFrame,
-        scene::{CameraIndex, Scene},
+        scene::{CameraIndex, Scene, ViewIndex},
     },
 };
 
@@ -31,6 +31,10 @@ const WORTH_IT: f64 = 0.01;
 const GROUND: usize = 0;
 /// Number of the outermost squares.
 const FARTHEST: f64 = 1e15;
+/// Distance of a photograph, over that of a planned image, up to which the two can be matched.
+const COARSER: f64 = 3.0;
+/// Samples along a side of what a planned image shows.
+const SAMPLES: usize = 8;
 /// Distance, over that which gives the wanted resolution, up to which a planned image shows a place.
 const FARTHER: f64 = 1.5;
 
@@ -280,6 +284,8 @@ impl<'a> Overhead<'a> {
             let rise = rise.map_or(0.0, |height| height - frame.local(&on_plane)[2]);
             let [lower, distance] = self.over(rise);
             let below = on_plane - up * lower;
+            let planned = self.overlap(*square, chosen, distance);
+            let flown = self.overlap_with_photographs(site.scene, &ground.plane, *square, distance);
             Waypoint {
                 rank: n + 1,
                 centre: below + up * distance,
@@ -287,11 +293,11 @@ impl<'a> Overhead<'a> {
                 hole: GROUND,
                 height: distance,
                 distance,
-                overlap: self.overlap(*square, chosen, distance),
+                overlap: planned.max(flown),
             }
         };
         row_by_row(chosen)
-            .iter()
+            .par_iter()
             .enumerate()
             .map(waypoint)
             .collect()
@@ -315,6 +321,36 @@ impl<'a> Overhead<'a> {
         };
         let others = chosen.iter().filter(|other| **other != square);
         others.map(with).fold(0.0, f64::max)
+    }
+
+    /// As [`Self::overlap`], with one photograph from at most [`COARSER`] times the distance; by
+    /// samples on the plane.
+    fn overlap_with_photographs(
+        &self,
+        scene: &Scene,
+        plane: &GroundPlane,
+        square: Square,
+        distance: f64,
+    ) -> f64 {
+        let side = shown(self.camera, distance);
+        let along = |i: usize| ((i as f64 + 0.5) / SAMPLES as f64 - 0.5) * side;
+        let [x, y] = self.middle(square);
+        let sample = |i| plane.at([x + along(i % SAMPLES), y + along(i / SAMPLES)]);
+        let samples: Vec<Point3<f64>> = (0..SAMPLES * SAMPLES).map(sample).collect();
+        let middle = plane.at([x, y]);
+        let shown_by = |view: ViewIndex| {
+            let (camera, pose) = (scene.camera_of(view), &scene.view(view).cam_from_world);
+            if (pose.centre() - middle).norm() > COARSER * distance + side {
+                return 0;
+            }
+            let shows = |place: &&Point3<f64>| {
+                let pixel = camera.project(&pose.camera_from_world(place));
+                pixel.is_some_and(|pixel| camera.contains(&pixel))
+            };
+            samples.iter().filter(shows).count()
+        };
+        let most = scene.view_indices().map(shown_by).max().unwrap_or(0);
+        most as f64 / samples.len() as f64
     }
 
     /// Chooses images until each place is shown by as many as it lacks, those first that show most such
@@ -490,8 +526,13 @@ fn typical(cells: &[GroundCell]) -> [f64; 2] {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::{Matrix3, Rotation3};
+
     use super::*;
-    use crate::model::camera::CameraModel;
+    use crate::model::{
+        camera::CameraModel,
+        scene::{Pose, View},
+    };
 
     /// A camera that shows 10 by 10 units from the distance, and squares of the given side.
     fn overhead(camera: &Camera, step: f64) -> Overhead<'_> {
@@ -579,6 +620,45 @@ mod tests {
         let chosen: BTreeSet<Square> = [[0, 0], [2, 0], [2, 1], [40, 40]].into();
         let overlaps = chosen.iter().map(|of| images.overlap(*of, &chosen, 10.0));
         assert!(overlaps.eq([0.6, 0.8, 0.8, 0.0]));
+    }
+
+    #[test]
+    fn the_overlap_with_a_photograph_is_that_of_what_they_show() {
+        let camera = camera();
+        let images = overhead(&camera, 2.0);
+        let frame = MapFrame::new(&Scene::default(), Some([0.0, 0.0, 1.0]));
+        let corners = [[0.0, 0.0], [9.0, 0.0], [0.0, 9.0]];
+        let corners = corners.map(|[x, y]| Point3::new(x, y, 0.0));
+        let plane = GroundPlane::new(&frame, &corners).unwrap();
+        let east = (plane.at([1.0, 0.0]) - plane.at([0.0, 0.0])).normalize();
+        let down = -plane.up();
+        let axes = [east, down.cross(&east), down].map(|axis| axis.transpose());
+        let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_rows(&axes));
+        let [x, y] = images.middle([0, 0]);
+        let photograph = |along: f64, height: f64| View {
+            name: "flown".into(),
+            image_id: 1,
+            file_position: 0,
+            camera: CameraIndex(0),
+            cam_from_world: Pose {
+                rotation,
+                translation: -(rotation * (plane.at([x + along, y]) - down * height).coords),
+            },
+        };
+        let overlap = |along, height| {
+            let scene = Scene {
+                cameras: vec![camera.clone()],
+                views: vec![photograph(along, height)],
+                ..Scene::default()
+            };
+            images.overlap_with_photographs(&scene, &plane, [0, 0], 10.0)
+        };
+        assert_eq!(overlap(0.0, 10.0), 1.0);
+        assert_eq!(overlap(5.0, 10.0), 0.5);
+        assert_eq!(overlap(10.0, 10.0), 0.0);
+        // From half the height it shows a quarter; what it shows from far above is too coarse.
+        assert_eq!(overlap(0.0, 5.0), 0.25);
+        assert_eq!(overlap(0.0, 100.0), 0.0);
     }
 
     #[test]

@@ -37,10 +37,10 @@ impl Chunk {
         }
         let mut foreign = model.into_largest_component();
         if let Some(first) = disabled.first() {
-            let text = format!(
-                "{} disabled cameras are left out, e.g. {first}",
-                disabled.len()
-            );
+            let text = match disabled.len() {
+                1 => format!("the disabled camera {first} is left out"),
+                n => format!("{n} disabled cameras are left out, e.g. {first}"),
+            };
             let warning = ModelWarning::new(WarningKind::Format, text);
             let warning = if foreign.model.images.is_empty() {
                 warning.with_cure("enable the cameras in Metashape, and export them again")
