@@ -438,7 +438,8 @@ fn disabled_cameras_and_lesser_components_are_left_out() {
         .map(|warning| &*warning.text)
         .collect();
     assert!(
-        text.iter().any(|text| text.contains("disabled camera b is")),
+        text.iter()
+            .any(|text| text.contains("disabled camera b is")),
         "{text:?}"
     );
     assert!(
