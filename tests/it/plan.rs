@@ -8,10 +8,15 @@ use std::{
 
 use serde_json::Value;
 
-use super::valley::{copy, printed, project, viewrank};
+use super::valley::{copy, printed, printed_by_geometry, project, viewrank};
 
 /// Plans, and returns what was printed on stdout.
+/// Plans without comparing pictures.
 fn plan(project: &Path, options: &[&str]) -> String {
+    printed_by_geometry(&[&["plan", project.to_str().unwrap()], options].concat())
+}
+
+fn plan_with_pictures(project: &Path, options: &[&str]) -> String {
     printed(&[&["plan", project.to_str().unwrap()], options].concat())
 }
 
@@ -68,7 +73,7 @@ fn names(list: &Value) -> Vec<&str> {
 #[test]
 fn the_files_of_a_plan_say_the_same() {
     let project = project();
-    plan(project.path(), &["--backend", "sgm"]);
+    plan_with_pictures(project.path(), &["--backend", "sgm"]);
     let (manifest, folder) = (manifest(project.path()), project.path().join("viewrank"));
     let clusters = manifest["clusters"].as_array().unwrap();
     let chosen = manifest["cut"]["clusters"].as_u64().unwrap() as usize;
@@ -132,8 +137,8 @@ fn the_files_of_a_plan_say_the_same() {
 #[test]
 fn the_same_bytes_on_one_thread_and_on_sixteen() {
     let (one, sixteen) = (project(), project());
-    plan(one.path(), &["--threads", "1"]);
-    plan(sixteen.path(), &["--threads", "16"]);
+    plan_with_pictures(one.path(), &["--threads", "1"]);
+    plan_with_pictures(sixteen.path(), &["--threads", "16"]);
     let without_times = |root: &Path| {
         let mut files = files(root);
         // What follows from pictures is kept with the times of these copies.
@@ -165,7 +170,7 @@ fn a_report_has_the_same_bytes_each_time() {
     let project = project();
     let page = |threads: &str| {
         _ = fs::remove_dir_all(project.path().join("viewrank"));
-        plan(project.path(), &["--report", "--threads", threads]);
+        plan_with_pictures(project.path(), &["--report", "--threads", threads]);
         fs::read(project.path().join("viewrank/report.html")).unwrap()
     };
     assert!(page("1") == page("3"));
@@ -589,7 +594,7 @@ fn each_key_view_has_one_of_two_sizes_and_budgets_count_work() {
         "--target",
         "100%",
     ];
-    let text = plan(
+    let text = plan_with_pictures(
         folder.path(),
         &[&options[..], &["--budget", "30%"]].concat(),
     );
@@ -646,7 +651,7 @@ fn each_key_view_has_one_of_two_sizes_and_budgets_count_work() {
 fn two_sizes_are_never_worse_than_one() {
     let folder = project();
     let planned = |options: &[&str]| {
-        plan(
+        plan_with_pictures(
             folder.path(),
             &[&["--backend", "sgm", "-k", "3"], options].concat(),
         );
@@ -659,7 +664,7 @@ fn two_sizes_are_never_worse_than_one() {
         ]
     };
     let mut before = 0.0;
-    for maps in ["4", "8", "15", "22"] {
+    for maps in ["8", "22"] {
         let one = planned(&["--target", "100%", "--budget", maps]);
         let budget = format!("{:.6}%", 100.0 * one[2] + 1e-6);
         let two = planned(&["--target", "100%", "--budget", &budget, "--scales", "1,0.5"]);
@@ -670,12 +675,10 @@ fn two_sizes_are_never_worse_than_one() {
         assert!(two[1] > before, "{maps}: {two:?}");
         before = two[1];
     }
-    for target in ["70%", "90%", "97%"] {
-        let [two, one] = [&["--scales", "1,0.5"][..], &[]]
-            .map(|sizes| planned(&[&["--target", target], sizes].concat()));
-        assert!(two[1].min(one[1]) >= target.trim_end_matches('%').parse::<f64>().unwrap() / 100.0);
-        assert!(two[2] <= one[2], "{target}: {two:?} {one:?}");
-    }
+    let [two, one] = [&["--scales", "1,0.5"][..], &[]]
+        .map(|sizes| planned(&[&["--target", "90%"], sizes].concat()));
+    assert!(two[1].min(one[1]) >= 0.9);
+    assert!(two[2] <= one[2], "{two:?} {one:?}");
     assert_eq!(planned(&["--scales", "1,0.5", "--target", "100%"])[1], 1.0);
 }
 

@@ -4,6 +4,7 @@ use std::{
     fs,
     path::{Path, PathBuf},
     process::{Command, Output},
+    sync::LazyLock,
 };
 
 use tempfile::TempDir;
@@ -40,11 +41,26 @@ pub fn copy(from: &Path, to: &Path) {
 }
 
 pub fn viewrank(arguments: &[&str]) -> Output {
-    let nowhere = env!("CARGO_TARGET_TMPDIR");
+    with_settings(Path::new(env!("CARGO_TARGET_TMPDIR")), arguments)
+}
+
+/// The program with the settings of a user who compares no pictures, which takes most of the time.
+fn by_geometry(arguments: &[&str]) -> Output {
+    static SETTINGS: LazyLock<PathBuf> = LazyLock::new(|| {
+        let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("geometric");
+        fs::create_dir_all(folder.join("viewrank")).unwrap();
+        let file = folder.join("viewrank/viewrank.toml");
+        fs::write(file, "confidence.source = \"geometric\"\n").unwrap();
+        folder
+    });
+    with_settings(&SETTINGS, arguments)
+}
+
+fn with_settings(of_user: &Path, arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_viewrank"))
         .args(arguments)
-        .env("XDG_CONFIG_HOME", nowhere)
-        .env("APPDATA", nowhere)
+        .env("XDG_CONFIG_HOME", of_user)
+        .env("APPDATA", of_user)
         .output()
         .unwrap()
 }
@@ -52,7 +68,17 @@ pub fn viewrank(arguments: &[&str]) -> Output {
 /// Output of a call that must succeed.
 #[track_caller]
 pub fn printed(arguments: &[&str]) -> String {
-    let output = viewrank(arguments);
+    succeeded(viewrank(arguments), arguments)
+}
+
+/// As [`printed`], without comparing pictures.
+#[track_caller]
+pub fn printed_by_geometry(arguments: &[&str]) -> String {
+    succeeded(by_geometry(arguments), arguments)
+}
+
+#[track_caller]
+fn succeeded(output: Output, arguments: &[&str]) -> String {
     assert!(
         output.status.success(),
         "{arguments:?}: {}",
