@@ -185,6 +185,44 @@ fn a_depth_map_that_claims_gigapixels_is_left_out_by_evaluate_and_watch() {
     assert!(note.contains("60000 x 60000 pixels, at most"), "{note}");
 }
 
+/// Writes a depth map of the fixture's size as a NumPy file, the same depth in each pixel.
+fn write_flat_map(path: &Path, depth: f32) {
+    let header = "{'descr': '<f4', 'fortran_order': False, 'shape': (450, 600), }";
+    let header = format!("{header:<117}\n");
+    let length = (header.len() as u16).to_le_bytes();
+    let start = [b"\x93NUMPY\x01\0", &length[..], header.as_bytes()].concat();
+    let pixels = depth.to_le_bytes().repeat(450 * 600);
+    fs::write(path, [start, pixels].concat()).unwrap();
+}
+
+#[test]
+fn depths_a_million_times_as_far_as_the_scene_make_no_cells() {
+    let root = Root::new(&["p"]);
+    let project = root.project("p");
+    succeeds(viewrank(&["plan", text(&project), "--backend", "sgm"]));
+    let maps = root.folder.path().join("maps");
+    fs::create_dir(&maps).unwrap();
+    let image = |entry: std::io::Result<fs::DirEntry>| entry.unwrap().file_name();
+    let images = fs::read_dir(project.join("images")).unwrap().map(image);
+    let mut images: Vec<String> = images.map(|name| name.into_string().unwrap()).collect();
+    images.sort();
+    for (name, depth) in images.iter().zip([25.0, 25e6, 25e12, 25e-6]) {
+        write_flat_map(&maps.join(format!("{name}.npy")), depth);
+    }
+    succeeds(viewrank(&[
+        "evaluate",
+        text(&project),
+        "--depth-maps",
+        text(&maps),
+    ]));
+    let cells = fs::read_to_string(project.join("viewrank/evaluation/cells.tsv")).unwrap();
+    let (names, rows) = cells.split_once('\n').unwrap();
+    let near = names.split('\t').position(|name| name == images[0]);
+    let row = format!("\t{:x}", 1 << near.unwrap());
+    assert!(rows.lines().count() == 1, "{cells}");
+    assert!(rows.trim_end().ends_with(&row), "{cells}");
+}
+
 #[test]
 fn images_and_masks_that_claim_too_many_pixels_or_a_large_profile_are_named() {
     let root = Root::new(&["p"]);

@@ -4,7 +4,7 @@
 //! depth at its place differs by at most one per cent join it, and their pixels are used. Unlike
 //! there, normals and the program's list of neighbours are not asked.
 
-use std::ops::Range;
+use std::{ops::Range, sync::OnceLock};
 
 use nalgebra::{Point2, Point3, Vector3};
 use rayon::prelude::*;
@@ -31,6 +31,8 @@ const MOST_DEPTHS: u64 = 1 << 28;
 /// says little, and would cost as much as the largest images.
 const DEPTHS_OF_BYTE: u64 = 8;
 const DEPTHS_OF_ANY: u64 = 1 << 20;
+/// Bytes of points that are kept once they are found; of more, all are found each time.
+const MOST_KEPT: usize = 3 << 27;
 /// Places of a map at which it is looked whether another shows the same, along each axis.
 const PROBES: u32 = 12;
 
@@ -44,6 +46,8 @@ pub struct ThinnedMaps<'a> {
     others: Vec<Vec<u32>>,
     /// Maps of a point that is kept.
     support: usize,
+    /// The points, if they are few enough.
+    points: OnceLock<Vec<CloudPart>>,
 }
 
 /// A point on which maps agree, with the maps and the pixels that made it.
@@ -100,7 +104,30 @@ impl<'a> ThinnedMaps<'a> {
             others: others.collect(),
             maps,
             support: support as usize,
+            points: OnceLock::new(),
         })
+    }
+
+    /// Returns the points of the pixels of a map that no map before has used, and marks the pixels
+    /// that make them as used.
+    fn points_first_seen_by(&self, own: usize, used: &mut [Vec<bool>]) -> CloudPart {
+        let rows = (0..self.maps[own].map.height.div_ceil(BLOCK)).into_par_iter();
+        let points = rows.map(|row| self.points(own, row, used));
+        let points: Vec<Vec<AgreedPoint>> = points.collect();
+        let mut part = CloudPart::default();
+        for AgreedPoint { mean, mut joined } in points.into_iter().flatten() {
+            // Several pixels of this map may fall into one of a coarser map: the first has it.
+            joined.retain(|&(map, pixel)| !used[map as usize][pixel]);
+            if joined.len() < self.support {
+                continue;
+            }
+            joined
+                .iter()
+                .for_each(|&(map, pixel)| used[map as usize][pixel] = true);
+            part.push(mean, joined.into_iter().map(|(map, _)| map));
+        }
+        part.shrink_to_fit();
+        part
     }
 
     /// Returns the points of a row of blocks of pixels, in the order of the pixels.
@@ -250,29 +277,28 @@ fn thinned(map: DepthMap, most: u64) -> DepthMap {
 
 impl FusedPoints for ThinnedMaps<'_> {
     fn for_each_part(&self, take: &mut TakePart) -> Result<(), EvaluateError> {
+        if let Some(parts) = self.points.get() {
+            return parts.iter().try_for_each(take);
+        }
         let mut used: Vec<Vec<bool>> = self
             .maps
             .iter()
             .map(|map| vec![false; map.map.depth.len()])
             .collect();
         let may_agree = |own: &usize| 1 + self.others[*own].len() >= self.support;
+        let (mut parts, mut bytes) = (Vec::new(), 0);
         for own in (0..self.maps.len()).filter(may_agree) {
-            let rows = (0..self.maps[own].map.height.div_ceil(BLOCK)).into_par_iter();
-            let points = rows.map(|row| self.points(own, row, &used));
-            let points: Vec<Vec<AgreedPoint>> = points.collect();
-            let mut part = CloudPart::default();
-            for AgreedPoint { mean, mut joined } in points.into_iter().flatten() {
-                // Several pixels of this map may fall into one of a coarser map: the first has it.
-                joined.retain(|&(map, pixel)| !used[map as usize][pixel]);
-                if joined.len() < self.support {
-                    continue;
-                }
-                joined
-                    .iter()
-                    .for_each(|&(map, pixel)| used[map as usize][pixel] = true);
-                part.push(mean, joined.into_iter().map(|(map, _)| map));
-            }
+            let part = self.points_first_seen_by(own, &mut used);
             take(&part)?;
+            bytes += part.bytes();
+            if bytes <= MOST_KEPT {
+                parts.push(part);
+            } else {
+                parts.clear();
+            }
+        }
+        if bytes <= MOST_KEPT {
+            self.points.set(parts).ok();
         }
         Ok(())
     }

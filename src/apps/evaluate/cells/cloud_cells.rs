@@ -1,6 +1,9 @@
 //! The cells of a fused cloud, and the maps that take part in each.
 
-use std::collections::{BTreeMap, HashMap, HashSet};
+use std::{
+    collections::{BTreeMap, HashMap},
+    ops::Range,
+};
 
 use nalgebra::Point3;
 use rayon::prelude::*;
@@ -16,31 +19,31 @@ use crate::{
 /// a million cells are right within a tenth of a point.
 const MOST_CELLS: usize = 500_000;
 
+/// Largest number of cells that are held while a cloud is read, which fills a hash table of 2^22
+/// entries; of more, one of 2, 4, 8, ... is drawn.
+const MOST_FOUND: usize = 7 << 19;
+
 /// Maps that agree on a point of a cell that counts as sure.
 const AGREEING: usize = 3;
 
 /// Edge of a block, cubes.
 const BLOCK: i64 = 4;
 
-/// A cube: exponent of its `g_d`, and its position in multiples of its edge.
+/// A cube: exponent of its `g_d`, and its position in multiples of its edge. Or a block, in
+/// multiples of [`BLOCK`] edges.
 type Cube = (i16, [i64; 3]);
 
 /// Cells of a cloud: one for each cube with an edge of 2 `g_d` in which the cloud has a point; its
 /// centre is the first of them.
 pub struct CloudCells {
     centres: Vec<Point3<f64>>,
-    /// Index of the cell of each cube.
-    cells: HashMap<Cube, u32>,
-    /// The cubes by their size.
-    octaves: BTreeMap<i16, Octave>,
-}
-
-/// The cubes of a size: of depths over many octaves, a place is within the bounds of most.
-struct Octave {
-    /// Low and high corner of the centres.
-    bounds: [Point3<f64>; 2],
-    /// The blocks of 4 x 4 x 4 cubes in which a cube or a neighbour of one is.
-    blocks: HashSet<[i64; 3]>,
+    /// Low and high corner of the centres of each size: of depths over many octaves, a place is
+    /// within those of most.
+    bounds: BTreeMap<i16, [Point3<f64>; 2]>,
+    /// Each block's entries in `of_blocks`.
+    blocks: HashMap<Cube, Range<u32>>,
+    /// The cells of the cubes in a block or beside it.
+    of_blocks: Vec<u32>,
 }
 
 impl CloudCells {
@@ -51,8 +54,7 @@ impl CloudCells {
         stages: &Stages,
         watcher: &dyn Watcher,
     ) -> Result<Self, EvaluateError> {
-        let mut cubes: HashMap<Cube, u32> = HashMap::new();
-        let mut centres = Vec::new();
+        let mut found = FoundCells::new(MOST_FOUND);
         cloud.for_each_part(&mut |part| {
             watcher.check()?;
             let octaves: Vec<Option<i16>> = part
@@ -61,57 +63,36 @@ impl CloudCells {
                 .map(|point| gsd.octave(point))
                 .collect();
             for (point, octave) in part.points.iter().zip(octaves) {
-                let Some(octave) = octave else { continue };
-                cubes
-                    .entry((octave, cube(point, octave)))
-                    .or_insert_with(|| {
-                        centres.push(*point);
-                        centres.len() as u32 - 1
-                    });
+                if let Some(octave) = octave {
+                    found.add((octave, cube(point, octave)), point);
+                }
             }
             Ok(())
         })?;
-        let inside = inside(&centres, stages);
-        let number = inside.iter().filter(|&&inside| inside).count();
-        let step = number.div_ceil(MOST_CELLS).max(1);
-        let mut new = vec![None; centres.len()];
-        let kept = (0..centres.len())
-            .filter(|&cell| inside[cell])
-            .step_by(step);
-        let kept: Vec<usize> = kept.collect();
-        (0..)
-            .zip(&kept)
-            .for_each(|(index, &cell)| new[cell] = Some(index));
-        let cells: HashMap<Cube, u32> = cubes
-            .into_iter()
-            .filter_map(|(cube, cell)| Some((cube, new[cell as usize]?)))
-            .collect();
-        let centres: Vec<Point3<f64>> = kept.iter().map(|&cell| centres[cell]).collect();
-        Ok(Self::new(centres, cells))
+        let inside = inside(&found.centres, stages);
+        Ok(Self::new(found.thinned(&inside, MOST_CELLS)))
     }
 
-    fn new(centres: Vec<Point3<f64>>, cells: HashMap<Cube, u32>) -> Self {
-        let mut octaves: BTreeMap<i16, Octave> = BTreeMap::new();
-        for (&(octave, position), &cell) in &cells {
-            let centre = centres[cell as usize];
-            let of_size = octaves.entry(octave).or_insert_with(|| Octave {
-                bounds: [centre; 2],
-                blocks: HashSet::new(),
-            });
-            let [low, high] = &mut of_size.bounds;
+    fn new(found: FoundCells) -> Self {
+        let mut bounds: BTreeMap<i16, [Point3<f64>; 2]> = BTreeMap::new();
+        let mut pairs: Vec<(Cube, u32)> = Vec::new();
+        for (&(octave, position), &cell) in &found.cells {
+            let centre = found.centres[cell as usize];
+            let [low, high] = bounds.entry(octave).or_insert([centre; 2]);
             (*low, *high) = (low.inf(&centre), high.sup(&centre));
-            for corner in 0..8 {
-                let neighbour = [0, 1, 2].map(|axis| {
-                    let step = if corner >> axis & 1 == 1 { 1 } else { -1 };
-                    position[axis].saturating_add(step)
-                });
-                of_size.blocks.insert(block(neighbour));
-            }
+            let blocks = blocks_around(position);
+            pairs.extend(blocks.map(|block| ((octave, block), cell)));
+        }
+        pairs.sort_unstable();
+        let mut blocks: HashMap<Cube, Range<u32>> = HashMap::new();
+        for (at, &(block, _)) in (0..).zip(&pairs) {
+            blocks.entry(block).or_insert(at..at).end = at + 1;
         }
         Self {
-            centres,
-            cells,
-            octaves,
+            centres: found.centres,
+            bounds,
+            blocks,
+            of_blocks: pairs.into_iter().map(|(_, cell)| cell).collect(),
         }
     }
 
@@ -159,33 +140,114 @@ impl CloudCells {
 
     /// Calls `take` with each cell whose centre is within its 2 `g_d` of the point.
     fn near(&self, point: &Point3<f64>, mut take: impl FnMut(usize)) {
-        for cube in self.cubes_around(point) {
-            if let Some(&cell) = self.cells.get(&cube)
-                && (self.centres[cell as usize] - point).norm() <= edge(cube.0)
-            {
-                take(cell as usize);
-            }
+        for (edge, cells) in self.cells_around(point) {
+            let cells = cells.iter().map(|&cell| cell as usize);
+            cells
+                .filter(|&cell| (self.centres[cell] - point).norm() <= edge)
+                .for_each(&mut take);
         }
     }
 
-    /// Returns the cubes, of a cell or not, in which a centre so near may be.
-    fn cubes_around(&self, point: &Point3<f64>) -> impl Iterator<Item = Cube> {
-        self.octaves
+    /// Returns the cells whose centres may be so near, and that distance, for each size.
+    fn cells_around(&self, point: &Point3<f64>) -> impl Iterator<Item = (f64, &[u32])> {
+        self.bounds
             .iter()
-            .filter_map(move |(&octave, of_size)| {
-                let (middle, edge) = (cube(point, octave), edge(octave));
-                let [low, high] = &of_size.bounds;
+            .filter_map(move |(&octave, [low, high])| {
+                let edge = edge(octave);
                 let is_outside = (low - point).max() > edge || (point - high).max() > edge;
-                (!is_outside && of_size.blocks.contains(&block(middle))).then_some((octave, middle))
-            })
-            .flat_map(|(octave, middle)| {
-                let offsets = (0..27).map(|i| [i % 3 - 1, i / 3 % 3 - 1, i / 9 - 1]);
-                offsets.map(move |offset| {
-                    let position = [0, 1, 2].map(|axis| middle[axis].saturating_add(offset[axis]));
-                    (octave, position)
-                })
+                let block = (!is_outside).then(|| block(cube(point, octave)))?;
+                let cells = self.blocks.get(&(octave, block))?;
+                Some((
+                    edge,
+                    &self.of_blocks[cells.start as usize..cells.end as usize],
+                ))
             })
     }
+}
+
+/// The cells of a cloud while it is read.
+struct FoundCells {
+    centres: Vec<Point3<f64>>,
+    /// Index of the cell of each cube.
+    cells: HashMap<Cube, u32>,
+    /// Cells that are held.
+    most: usize,
+    /// Number of times that half of the cubes were left out.
+    halvings: u32,
+}
+
+impl FoundCells {
+    fn new(most: usize) -> Self {
+        Self {
+            centres: Vec::new(),
+            cells: HashMap::new(),
+            most,
+            halvings: 0,
+        }
+    }
+
+    fn add(&mut self, cube: Cube, point: &Point3<f64>) {
+        if !is_drawn(&cube, self.halvings) {
+            return;
+        }
+        let new = self.centres.len() as u32;
+        if *self.cells.entry(cube).or_insert(new) == new {
+            self.centres.push(*point);
+        }
+        if self.centres.len() > self.most {
+            self.halve();
+        }
+    }
+
+    fn halve(&mut self) {
+        self.halvings += 1;
+        let mut is_kept = vec![false; self.centres.len()];
+        for (cube, &cell) in &self.cells {
+            is_kept[cell as usize] = is_drawn(cube, self.halvings);
+        }
+        self.keep(&is_kept);
+    }
+
+    /// Keeps those `inside`, at most about `most` of them.
+    fn thinned(mut self, inside: &[bool], most: usize) -> Self {
+        let number = inside.iter().filter(|&&inside| inside).count();
+        let step = number.div_ceil(most).max(1);
+        let mut kept = vec![false; self.centres.len()];
+        let all = (0..self.centres.len()).filter(|&cell| inside[cell]);
+        all.step_by(step).for_each(|cell| kept[cell] = true);
+        self.keep(&kept);
+        self.cells.shrink_to_fit();
+        self.centres.shrink_to_fit();
+        self
+    }
+
+    /// Keeps some cells, in their order.
+    fn keep(&mut self, is_kept: &[bool]) {
+        let mut next = 0..;
+        let new: Vec<Option<u32>> = is_kept
+            .iter()
+            .map(|&is_kept| if is_kept { next.next() } else { None })
+            .collect();
+        self.cells.retain(|_, cell| {
+            let new = new[*cell as usize];
+            *cell = new.unwrap_or_default();
+            new.is_some()
+        });
+        let mut is_kept = is_kept.iter();
+        self.centres
+            .retain(|_| *is_kept.next().expect("a flag for each cell"));
+    }
+}
+
+/// Returns whether a cube is one of the 2^-`halvings` of all that are drawn.
+fn is_drawn((octave, position): &Cube, halvings: u32) -> bool {
+    // An odd factor with as many ones as zeros, which spreads each bit over those above it.
+    let mix = |mixed: u64, part: i64| {
+        let product = (mixed ^ part as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+        product ^ product >> 32
+    };
+    let mixed = position.iter().copied().fold(mix(0, (*octave).into()), mix);
+    mixed.leading_zeros() >= halvings
 }
 
 /// Edge of a cube: 2 `g_d`.
@@ -201,6 +263,19 @@ fn cube(point: &Point3<f64>, octave: i16) -> [i64; 3] {
 /// The block of a cube.
 fn block(cube: [i64; 3]) -> [i64; 3] {
     cube.map(|position| position.div_euclid(BLOCK))
+}
+
+/// Returns the blocks in which a cube or a neighbour of it is.
+fn blocks_around(position: [i64; 3]) -> impl Iterator<Item = [i64; 3]> {
+    let ends = position
+        .map(|position| [-1, 1].map(|step| position.saturating_add(step).div_euclid(BLOCK)));
+    let blocks = |axis: usize| ends[axis][0]..=ends[axis][1];
+    let [x, y, z] = [0, 1, 2].map(blocks);
+    x.flat_map(move |x| {
+        let z = z.clone();
+        y.clone()
+            .flat_map(move |y| z.clone().map(move |z| [x, y, z]))
+    })
 }
 
 /// Returns which places are inside the plan's region, as the triangle nearest to each is.
@@ -233,25 +308,20 @@ mod tests {
         (0..points).map(point).collect()
     }
 
-    fn cells(points: &[(i16, Point3<f64>)]) -> CloudCells {
-        let mut cells = HashMap::new();
-        let mut centres = Vec::new();
-        for &(octave, point) in points {
-            cells
-                .entry((octave, cube(&point, octave)))
-                .or_insert_with(|| {
-                    centres.push(point);
-                    centres.len() as u32 - 1
-                });
+    fn found(points: &[(i16, Point3<f64>)], most: usize) -> FoundCells {
+        let mut found = FoundCells::new(most);
+        for (octave, point) in points {
+            found.add((*octave, cube(point, *octave)), point);
         }
-        CloudCells::new(centres, cells)
+        found
     }
 
     #[test]
     fn cells_near_a_point_are_those_of_a_search_through_all() {
         let points = cone(2000);
-        let table = cells(&points);
-        let mut found = 0;
+        let cells = found(&points, MOST_FOUND).cells;
+        let table = CloudCells::new(found(&points, MOST_FOUND));
+        let mut number = 0;
         for (n, &(octave, point)) in points.iter().enumerate() {
             let point = point
                 + nalgebra::Vector3::new(1.0, -0.5, 0.7) * edge(octave) * (n % 3) as f64 / 2.0;
@@ -262,23 +332,54 @@ mod tests {
                 ((table.centres[cell as usize] - point).norm() <= edge(octave))
                     .then_some(cell as usize)
             };
-            let mut all: Vec<usize> = table.cells.iter().filter_map(within).collect();
+            let mut all: Vec<usize> = cells.iter().filter_map(within).collect();
             all.sort_unstable();
             assert_eq!(near, all);
-            found += all.len();
+            number += all.len();
         }
-        assert!(found > points.len() / 3);
+        assert!(number > points.len() / 3);
     }
 
     #[test]
     fn depths_over_many_octaves_cost_no_more_than_those_of_one() {
         let points = cone(20_000);
-        let table = cells(&points);
-        assert!(table.octaves.len() > 25);
-        let looked_at: usize = points
-            .iter()
-            .map(|(_, point)| table.cubes_around(point).count())
-            .sum();
-        assert!(looked_at < 2 * 27 * points.len(), "{looked_at}");
+        let table = CloudCells::new(found(&points, MOST_FOUND));
+        assert!(table.bounds.len() > 25);
+        let looked_at = |(_, point): &(i16, Point3<f64>)| -> usize {
+            let cells = table.cells_around(point);
+            cells.map(|(_, cells)| cells.len()).sum()
+        };
+        let looked_at: usize = points.iter().map(looked_at).sum();
+        assert!(looked_at < 8 * points.len(), "{looked_at}");
+    }
+
+    #[test]
+    fn of_too_many_cells_half_are_drawn_again_and_again() {
+        let points = cone(20_000);
+        let all = found(&points, MOST_FOUND);
+        let drawn = found(&points, 3000);
+        assert_eq!(drawn.centres.len(), drawn.cells.len());
+        assert!((1000..=3000).contains(&drawn.centres.len()));
+        // The others are as they would be, in their order.
+        let place = |cube: &Cube| all.cells[cube];
+        let mut cubes: Vec<&Cube> = drawn.cells.keys().collect();
+        cubes.sort_by_key(|cube| place(cube));
+        for (cell, cube) in (0..).zip(cubes) {
+            assert_eq!(drawn.cells[cube], cell);
+            let centre = all.centres[place(cube) as usize];
+            assert_eq!(drawn.centres[cell as usize], centre);
+        }
+    }
+
+    #[test]
+    fn half_of_the_cubes_of_a_plane_are_drawn() {
+        let plane = (0..10_000).map(|i| (-3, [i % 100, i / 100 - 50, 7]));
+        let cubes: Vec<Cube> = plane.collect();
+        for halvings in 0..5 {
+            let drawn = cubes.iter().filter(|cube| is_drawn(cube, halvings)).count();
+            let share = drawn as f64 / cubes.len() as f64;
+            let expected = 0.5_f64.powi(halvings as i32);
+            assert!((share / expected - 1.0).abs() < 0.2, "{halvings}: {share}");
+        }
     }
 }

@@ -9,6 +9,10 @@ use crate::{
     plan::Stages,
 };
 
+/// Octaves by which a place may be finer or coarser than the median image: a factor of a thousand.
+/// Depths beyond are no measurements, and each octave costs every point a look.
+const MOST_OCTAVES: f64 = 10.0;
+
 /// `g_d` at any place (method 3.6): that of the settings, or [`GSD_MARGIN`] times the finest GSD of
 /// the views in whose image the place is. A cloud has points where the surface has no triangle.
 pub struct PlaceGsd<'a> {
@@ -18,6 +22,8 @@ pub struct PlaceGsd<'a> {
     fixed: Option<f64>,
     /// Wanted GSD over that of the model's image.
     margin: f64,
+    /// That of the median image, as the exponent of a power of two; `None` without points.
+    median: Option<f64>,
 }
 
 impl<'a> PlaceGsd<'a> {
@@ -27,20 +33,27 @@ impl<'a> PlaceGsd<'a> {
             .target
             .gsd
             .filter(|_| stages.target.mode == TargetMode::Absolute);
+        let margin = GSD_MARGIN / stages.settings.image_scale();
         Self {
             scene: &stages.scene,
             views: stages.scene.view_indices().collect(),
             fixed,
-            margin: GSD_MARGIN / stages.settings.image_scale(),
+            margin,
+            median: stages.image_gsd.map(|gsd| (margin * gsd).log2()),
         }
     }
 
-    /// Returns the power of two nearest to `g_d`, as its exponent; `None` for a place in no image.
+    /// Returns the power of two nearest to `g_d`, as its exponent; `None` for a place in no image,
+    /// and for one a thousand times nearer or farther than the scene.
     ///
     /// Cells of few sizes: their edges must fit together where `g_d` changes.
     pub fn octave(&self, place: &Point3<f64>) -> Option<i16> {
-        let gsd = self.fixed.or_else(|| self.finest(place))?;
-        Some(gsd.log2().round() as i16).filter(|_| gsd > 0.0 && gsd.is_finite())
+        let (octave, median) = match self.fixed {
+            Some(gsd) => (gsd.log2().round(), None),
+            None => (self.finest(place)?.log2().round(), self.median),
+        };
+        let is_near = median.is_none_or(|median| (octave - median).abs() <= MOST_OCTAVES);
+        (is_near && octave.is_finite()).then_some(octave as i16)
     }
 
     fn finest(&self, place: &Point3<f64>) -> Option<f64> {

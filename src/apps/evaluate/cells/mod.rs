@@ -75,6 +75,16 @@ impl CloudPart {
             .map(move |(i, point)| (point, maps(i)))
     }
 
+    fn bytes(&self) -> usize {
+        let of_point = size_of::<nalgebra::Point3<f64>>() + size_of::<usize>();
+        of_point * self.points.len() + size_of::<u32>() * self.maps.len()
+    }
+
+    fn shrink_to_fit(&mut self) {
+        self.points.shrink_to_fit();
+        self.maps.shrink_to_fit();
+    }
+
     fn clear(&mut self) {
         self.points.clear();
         self.offsets = Offsets::default();
