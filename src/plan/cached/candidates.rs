@@ -7,25 +7,16 @@ use crate::{
         packed::{Packed, Packer, Unpacker},
         rows::Offsets,
     },
-    method::partners::{Candidates, Refusal},
-    model::{reason::Reason, scene::ViewIndex},
+    method::partners::{Candidates, Refusals},
+    model::scene::ViewIndex,
 };
 
 pub(super) fn pack(candidates: &Candidates) -> Packed {
     let mut packer = Packer::default();
     pack_rows(&mut packer, &candidates.offsets, candidates.views.iter());
     packer.each(candidates.beyond.iter().map(|&beyond| beyond as u32));
-    pack_rows(
-        &mut packer,
-        &candidates.refusal_offsets,
-        candidates.refusals.iter().map(|refusal| &refusal.partner),
-    );
-    packer.each(
-        candidates
-            .refusals
-            .iter()
-            .map(|refusal| Reason::number(Some(refusal.reason))),
-    );
+    let refusals = candidates.refusals.iter();
+    packer.each(refusals.flat_map(|of| [of.rotation_only, of.not_matchable]));
     packer.finish()
 }
 
@@ -47,29 +38,24 @@ pub fn unpack(bytes: &[u8], count: usize) -> Option<Candidates> {
         .into_iter()
         .map(|beyond| beyond as usize)
         .collect();
-    let (refusal_offsets, refused) = unpack_rows(&mut lists, count)?;
-    let numbers = lists.bytes()?;
+    let refusals = lists.list::<u32>()?;
+    let (refusals, rest) = refusals.as_chunks::<2>();
     let fits = beyond.len() == count
         && are_others_once(&offsets, &views)
-        && are_others_once(&refusal_offsets, &refused)
         && (0..count).all(|view| beyond[view] <= offsets.row(view).len())
-        && numbers.len() == refused.len()
+        && (refusals.len(), rest) == (count, &[])
+        && refusals.iter().flatten().all(|&n| (n as usize) < count)
         && lists.is_at_end();
-    let refusal = |(partner, &number): (ViewIndex, &u8)| match Reason::from_number(number)?? {
-        reason @ (Reason::RotationOnly | Reason::NotMatchable) => Some(Refusal { partner, reason }),
-        _ => None,
-    };
-    let refusals = refused
-        .into_iter()
-        .zip(numbers)
-        .map(refusal)
-        .collect::<Option<_>>()?;
-    fits.then_some(Candidates {
+    let refusals = refusals.iter();
+    let refusals = refusals.map(|&[rotation_only, not_matchable]| Refusals {
+        rotation_only,
+        not_matchable,
+    });
+    fits.then(|| Candidates {
         offsets,
         views,
         beyond,
-        refusal_offsets,
-        refusals,
+        refusals: refusals.collect(),
     })
 }
 
@@ -98,34 +84,24 @@ mod tests {
     use crate::plan::cached::bytes;
 
     /// Returns whether a cache is accepted in which the first of three views has these partners, and
-    /// these views are refused as such.
-    fn is_believed(partners: &[u32], refused: &[u32]) -> bool {
+    /// this number of views is refused.
+    fn is_believed(partners: &[u32], refused: u32) -> bool {
         let mut packer = Packer::default();
         packer.list(&[partners.len() as u32, 0, 0]);
         packer.list(partners);
         packer.list(&[0_u32; 3]);
-        packer.list(&[refused.len() as u32, 0, 0]);
-        packer.list(refused);
-        packer.list(&vec![
-            Reason::number(Some(Reason::NotMatchable));
-            refused.len()
-        ]);
+        packer.list(&[0, refused, 0, 0, 0, 0]);
         unpack(&bytes(&packer.finish()), 3).is_some()
     }
 
     #[test]
     fn a_view_is_once_a_partner_of_others() {
         for views in [&[][..], &[1], &[2, 1]] {
-            assert!(
-                is_believed(views, &[]) && is_believed(&[], views),
-                "{views:?}"
-            );
+            assert!(is_believed(views, 2), "{views:?}");
         }
         for views in [&[1, 1][..], &[0], &[2, 0], &[1, 2, 1], &[3]] {
-            assert!(
-                !is_believed(views, &[]) && !is_believed(&[], views),
-                "{views:?}"
-            );
+            assert!(!is_believed(views, 2), "{views:?}");
         }
+        assert!(!is_believed(&[], 3));
     }
 }

@@ -123,11 +123,7 @@ impl<'a> Reasons<'a> {
             .candidates_of(view)
             .iter()
             .filter(|v| self.model.agreement.rejected.contains(v));
-        let refused = self
-            .candidates
-            .refused(view)
-            .iter()
-            .map(|refusal| refusal.reason);
+        let refused = self.candidates.refusals[view.index()].reasons();
         most_frequent(refused.chain(rejected.map(|_| Reason::NotMatchable)))
             .unwrap_or(Reason::NoSharedPoints)
     }

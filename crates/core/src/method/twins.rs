@@ -5,7 +5,10 @@
 //! the sharpest of such views takes part for all of them, and the others are set aside: neither key
 //! views nor partners.
 
-use std::cmp::Ordering;
+use std::{
+    cmp::Ordering,
+    collections::{BTreeSet, HashMap},
+};
 
 use rayon::prelude::*;
 
@@ -24,6 +27,10 @@ const LEAST_OVERLAP: f64 = 0.9;
 const MOST_SCALE: f64 = std::f64::consts::SQRT_2;
 /// Observed points of a view that are looked at.
 const SAMPLES: usize = 128;
+/// Powers of two by which the depths of twins may differ: lenses of a thousandfold focal length.
+const MOST_OCTAVES: i32 = 10;
+/// Views around one that are looked at: of more, most are twins of each other.
+const MOST_NEAR: usize = 1000;
 
 /// A view that is set aside.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -76,10 +83,13 @@ impl Criteria<'_> {
         placed: &'p [Placed],
         watcher: &dyn Watcher,
     ) -> Result<Vec<Ranked<'p>>, Cancelled> {
+        let mut grid = Grid::default();
+        placed.iter().for_each(|placed| grid.add(placed));
         let rank = |i: usize| {
             watcher.check()?;
             let own = &placed[i];
-            let has_twin = near(placed, i).any(|other| are_twins(self.scene, own, other));
+            let mut others = grid.near(own).into_iter().filter(|&other| other != i);
+            let has_twin = others.any(|other| are_twins(self.scene, own, &placed[other]));
             watcher.check()?;
             Ok(has_twin.then(|| self.rank(own)))
         };
@@ -135,15 +145,19 @@ fn set_aside(
     watcher: &dyn Watcher,
 ) -> Result<Vec<Twin>, Cancelled> {
     let (mut remain, mut aside): (Vec<&Placed>, _) = (Vec::new(), Vec::new());
+    let mut grid = Grid::default();
     for Ranked { placed, .. } in best_first {
         watcher.check()?;
-        let better = remain.iter().find(|other| are_twins(scene, placed, other));
-        match better.map(|other| other.view) {
-            Some(sharper) => aside.push(Twin {
+        let mut near = grid.near(placed).into_iter().map(|other| remain[other]);
+        match near.find(|other| are_twins(scene, placed, other)) {
+            Some(better) => aside.push(Twin {
                 view: placed.view,
-                sharper,
+                sharper: better.view,
             }),
-            None => remain.push(placed),
+            None => {
+                remain.push(placed);
+                grid.add(placed);
+            }
         }
     }
     aside.sort_unstable();
@@ -159,7 +173,7 @@ struct Placed {
     sample: Vec<PointIndex>,
 }
 
-/// Returns the views with an image that show something, by their first coordinate.
+/// Returns the views with an image that show something.
 fn placed(scene: &Scene, points: &ViewPoints, without_image: &[ViewIndex]) -> Vec<Placed> {
     let views: Vec<ViewIndex> = scene.view_indices().collect();
     let placed = views.par_iter().filter_map(|&view| {
@@ -168,18 +182,51 @@ fn placed(scene: &Scene, points: &ViewPoints, without_image: &[ViewIndex]) -> Ve
             .then(|| Placed::new(scene, points, view))
             .flatten()
     });
-    let mut placed: Vec<Placed> = placed.collect();
-    placed.sort_by(|a, b| a.centre[0].total_cmp(&b.centre[0]));
-    placed
+    placed.collect()
 }
 
-/// The other views that are near enough in the first coordinate to be twins of one.
-fn near(placed: &[Placed], i: usize) -> impl Iterator<Item = &Placed> {
-    let (x, most) = (placed[i].centre[0], MOST_BASELINE * placed[i].depth);
-    let within = move |other: &&Placed| (other.centre[0] - x).abs() <= most;
-    let after = placed[i + 1..].iter().take_while(within);
-    let before = placed[..i].iter().rev().take_while(within);
-    after.chain(before)
+/// Views by place. Each is in a cube whose edge is at least its largest distance to a twin, a power
+/// of two.
+#[derive(Default)]
+struct Grid {
+    /// By exponent and position.
+    cubes: HashMap<(i32, [i64; 3]), Vec<usize>>,
+    exponents: BTreeSet<i32>,
+    views: usize,
+}
+
+impl Grid {
+    /// Adds a view, which gets the next number.
+    fn add(&mut self, placed: &Placed) {
+        let exponent = placed.exponent();
+        let cube = (exponent, placed.position(exponent));
+        self.cubes.entry(cube).or_default().push(self.views);
+        self.exponents.insert(exponent);
+        self.views += 1;
+    }
+
+    /// Returns the numbers of the views that are near enough to be twins of one, ascending; of
+    /// very many, the first.
+    fn near(&self, placed: &Placed) -> Vec<usize> {
+        let exponent = placed.exponent();
+        let exponents = exponent - MOST_OCTAVES..=exponent + MOST_OCTAVES;
+        let cubes = self.exponents.range(exponents).flat_map(|&exponent| {
+            let middle = placed.position(exponent);
+            let offsets = (0..27).map(|i| [i % 3 - 1, i / 3 % 3 - 1, i / 9 - 1]);
+            let position = move |offset: [i64; 3]| {
+                [0, 1, 2].map(|axis| middle[axis].saturating_add(offset[axis]))
+            };
+            offsets.filter_map(move |offset| self.cubes.get(&(exponent, position(offset))))
+        });
+        let mut near: Vec<usize> = cubes
+            .flat_map(|of_cube| of_cube.iter().take(MOST_NEAR))
+            .copied()
+            .collect();
+        near.sort_unstable();
+        near.dedup();
+        near.truncate(MOST_NEAR);
+        near
+    }
 }
 
 impl Placed {
@@ -199,6 +246,17 @@ impl Placed {
             depth: *depths.get(depths.len() / 4)?,
             sample,
         })
+    }
+
+    /// Exponent of the edge of its cube in a [`Grid`].
+    fn exponent(&self) -> i32 {
+        (MOST_BASELINE * self.depth).log2().floor() as i32 + 1
+    }
+
+    /// Position in cubes of an edge.
+    fn position(&self, exponent: i32) -> [i64; 3] {
+        let edge = f64::from(exponent).exp2();
+        self.centre.map(|x| (x / edge).floor() as i64)
     }
 
     fn gsd(&self, scene: &Scene) -> f64 {
@@ -347,6 +405,71 @@ mod tests {
         let steps: Vec<_> = (0..9).map(|i| (0.06 * f64::from(i), 100.0)).collect();
         let aside = found(&scene(&steps), &[], &[]);
         assert_eq!(aside, [(1, 0), (3, 2), (5, 4), (7, 6)]);
+    }
+
+    /// A view at a place that looks at something in this depth.
+    fn placed(centre: [f64; 3], depth: f64) -> Placed {
+        Placed {
+            view: ViewIndex(0),
+            centre,
+            depth,
+            sample: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn near_views_are_all_within_the_distance_of_twins_and_few_others() {
+        // Steps of these shares fill a cube evenly; depths from 2 to 30.
+        let share = |n: usize, step: f64| (n as f64 * step).fract();
+        let all: Vec<Placed> = (0..3000)
+            .map(|n| {
+                let centre =
+                    [0.8191725, 0.6710436, 0.5497004].map(|step| 4.0 * share(n, step) - 2.0);
+                placed(centre, 2.0 + 28.0 * share(n, 0.3819660))
+            })
+            .collect();
+        let mut grid = Grid::default();
+        all.iter().for_each(|view| grid.add(view));
+        let mut found = 0;
+        for own in &all {
+            let near = grid.near(own);
+            assert!(near.is_sorted() && near.len() < all.len() / 2);
+            let is_near = |other: &&Placed| {
+                let offset = [0, 1, 2].map(|axis| own.centre[axis] - other.centre[axis]);
+                Vector3::from(offset).norm() <= MOST_BASELINE * own.depth.min(other.depth)
+            };
+            let number = |other: &Placed| all.iter().position(|one| std::ptr::eq(one, other));
+            let expected: Vec<usize> = all.iter().filter(is_near).filter_map(number).collect();
+            assert!(
+                expected
+                    .iter()
+                    .all(|other| near.binary_search(other).is_ok())
+            );
+            found += expected.len();
+        }
+        assert!(found > all.len() + all.len() / 10);
+    }
+
+    #[test]
+    fn a_street_along_any_axis_has_few_views_near_one() {
+        for axis in 0..3 {
+            let mut grid = Grid::default();
+            let at = |n: i32| {
+                let mut centre = [0.0; 3];
+                centre[axis] = 0.1 * f64::from(n);
+                placed(centre, 10.0)
+            };
+            (0..5000).for_each(|n| grid.add(&at(n)));
+            assert!(grid.near(&at(2500)).len() < 10);
+        }
+    }
+
+    #[test]
+    fn of_very_many_views_at_one_place_the_first_are_looked_at() {
+        let mut grid = Grid::default();
+        let still = placed([1.0, 2.0, 3.0], 10.0);
+        (0..2 * MOST_NEAR).for_each(|_| grid.add(&still));
+        assert_eq!(grid.near(&still), (0..MOST_NEAR).collect::<Vec<_>>());
     }
 
     #[test]

@@ -3,6 +3,7 @@
 use std::{
     cmp::Reverse,
     collections::BTreeMap,
+    iter,
     ops::Range,
     sync::{Mutex, OnceLock},
 };
@@ -23,11 +24,28 @@ use crate::{
     },
 };
 
-/// A pair of views with shared points that is not a candidate.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Refusal {
-    pub partner: ViewIndex,
-    pub reason: Reason,
+/// Number of views that share points with one but were refused before it had enough candidates, by
+/// the reason.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Refusals {
+    pub rotation_only: u32,
+    pub not_matchable: u32,
+}
+
+impl Refusals {
+    fn add(&mut self, reason: Reason) {
+        match reason {
+            Reason::RotationOnly => self.rotation_only += 1,
+            _ => self.not_matchable += 1,
+        }
+    }
+
+    /// Returns the reason of each refusal.
+    pub fn reasons(self) -> impl Iterator<Item = Reason> {
+        let all = |reason, number| iter::repeat_n(reason, number as usize);
+        all(Reason::RotationOnly, self.rotation_only)
+            .chain(all(Reason::NotMatchable, self.not_matchable))
+    }
 }
 
 /// The candidates of every view, best first, CSR by view; only pairs that the backend can match.
@@ -38,9 +56,9 @@ pub struct Candidates {
     /// By view: number of its last candidates that are beyond the backend's gate, taken because
     /// there are not enough others.
     pub beyond: Vec<usize>,
-    pub refusal_offsets: Offsets,
-    /// Pairs with shared points that were refused, most shared points first, CSR by view.
-    pub refusals: Vec<Refusal>,
+    /// By view. Not which pairs: where nothing can be matched, these are many times as many as the
+    /// candidates.
+    pub refusals: Vec<Refusals>,
 }
 
 impl Candidates {
@@ -52,12 +70,6 @@ impl Candidates {
     pub fn beyond_gate(&self, view: ViewIndex) -> &[ViewIndex] {
         let candidates = self.candidates_of(view);
         &candidates[candidates.len() - self.beyond[view.index()]..]
-    }
-
-    /// Returns the other views that share points with this one but are not candidates, with the
-    /// reason.
-    pub fn refused(&self, view: ViewIndex) -> &[Refusal] {
-        &self.refusals[self.refusal_offsets.row(view.index())]
     }
 }
 
@@ -153,8 +165,7 @@ impl<'a, 'limits> CandidateSearch<'a, 'limits> {
             table.offsets.push(row.views.len());
             table.views.extend(row.views);
             table.beyond.push(row.beyond);
-            table.refusal_offsets.push(row.refused.len());
-            table.refusals.extend(row.refused);
+            table.refusals.push(row.refusals);
         }
         Ok(table)
     }
@@ -230,8 +241,7 @@ struct CandidateRow {
     views: Vec<ViewIndex>,
     /// Number of views at the end that are beyond the gate.
     beyond: usize,
-    /// Pairs refused before there were enough candidates.
-    refused: Vec<Refusal>,
+    refusals: Refusals,
 }
 
 /// Returns why a pair is refused whatever the program's own rule.
@@ -244,19 +254,16 @@ fn refusal(pair: &PairGeometry, limits: &Limits) -> Option<Reason> {
 }
 
 impl CandidateRow {
-    fn refuse(&mut self, partner: ViewIndex, reason: Reason) {
-        self.refused.push(Refusal { partner, reason });
-    }
-
     /// Adds partners with which matching usually fails, up to k in all: such a partner is better than
     /// none.
     fn fill_beyond_gate<'p>(&mut self, pairs: impl Iterator<Item = &'p PairGeometry<'p>>, k: u32) {
-        let lacking = (k as usize).saturating_sub(self.views.len());
-        let partners: Vec<ViewIndex> = pairs.take(lacking).map(|pair| pair.partner).collect();
-        self.beyond = partners.len();
-        self.refused
-            .retain(|refusal| !partners.contains(&refusal.partner));
-        self.views.extend(partners);
+        let within = self.views.len();
+        let lacking = (k as usize).saturating_sub(within);
+        self.views
+            .extend(pairs.take(lacking).map(|pair| pair.partner));
+        self.beyond = self.views.len() - within;
+        // They were counted as refused by the gate.
+        self.refusals.not_matchable -= self.beyond as u32;
     }
 }
 
@@ -273,11 +280,11 @@ fn select(
         let pair = PairGeometry::new(scene, key, partner, shared);
         match refusal(&pair, limits) {
             Some(reason) => {
-                selected.refuse(partner, reason);
+                selected.refusals.add(reason);
                 unlikely.extend((reason == Reason::NotMatchable).then_some(pair));
             }
             None if selected.views.len() == settings.candidates as usize => break,
-            None if refuses(&pair) => selected.refuse(partner, Reason::NotMatchable),
+            None if refuses(&pair) => selected.refusals.add(Reason::NotMatchable),
             None => selected.views.push(partner),
         }
     }
@@ -433,17 +440,16 @@ mod tests {
             let expected: Vec<ViewIndex> = narrow.iter().chain(&wide).copied().take(5).collect();
             assert_eq!(table.candidates_of(key), expected);
             assert_eq!(table.beyond_gate(key), &expected[narrow.len().min(5)..]);
-            let wide = |r: &Refusal| angle(r.partner) > 12.0 && r.reason == Reason::NotMatchable;
-            assert!(table.refused(key).iter().all(wide));
-            assert!(
-                table
-                    .refused(key)
-                    .iter()
-                    .all(|r| !expected.contains(&r.partner)),
-                "a candidate is not refused"
-            );
+            // Those before the last candidate within the gate, without those that stand in.
+            let shared_most = all.candidates_of(key).iter();
+            let refused = match narrow.get(5) {
+                Some(next) => shared_most.take_while(|view| *view != next).count() - 5,
+                None => wide.len() - table.beyond_gate(key).len(),
+            };
+            let reasons: Vec<Reason> = table.refusals[key.index()].reasons().collect();
+            assert_eq!(reasons, vec![Reason::NotMatchable; refused]);
         }
-        assert!(!table.refusals.is_empty());
+        assert!(table.refusals.iter().any(|of| of.not_matchable > 0));
     }
 
     #[test]
@@ -452,11 +458,7 @@ mod tests {
         scene.views[1].cam_from_world = scene.views[0].cam_from_world;
         let table = select_all(&scene, 60, &Gate::OPEN);
         assert!(!table.candidates_of(ViewIndex(0)).contains(&ViewIndex(1)));
-        let still = Refusal {
-            partner: ViewIndex(1),
-            reason: Reason::RotationOnly,
-        };
-        assert!(table.refused(ViewIndex(0)).contains(&still));
+        assert_eq!(table.refusals[0].rotation_only, 1);
     }
 
     #[test]

@@ -13,7 +13,7 @@ mod settings;
 
 use self::search::PartnerChoice;
 pub use self::{
-    candidates::{CandidateSearch, Candidates, Limits, Refusal, Refuses, candidates, neighbours},
+    candidates::{CandidateSearch, Candidates, Limits, Refusals, Refuses, candidates, neighbours},
     gate::PairLimit,
     pair::PairGeometry,
     settings::{GateSettings, PartnerMethod, PartnerSettings},
