@@ -435,11 +435,8 @@ struct Look {
 
 impl Look {
     fn of(folder: &Path, sought: &SoughtImages, sizes: &HashSet<[u32; 2]>, search: &Names) -> Self {
-        let is_result = |word: &&str| {
-            let name = last(folder.to_str().unwrap_or_default()).to_lowercase();
-            name.starts_with(*word)
-        };
-        let is_named_as_source = !RESULTS.iter().any(|word| is_result(&word));
+        let name = last(folder.to_str().unwrap_or_default()).to_lowercase();
+        let is_named_as_source = !RESULTS.iter().any(|word| name.starts_with(word));
         let mut located = sought.names.iter();
         let file = located.find_map(|name| search.locate(folder, name));
         let header = file.and_then(|file| kind_by_header(&folder.join(file)));
