@@ -519,3 +519,14 @@ fn a_box_beside_the_surface_gets_what_a_polygon_gets() {
         assert_eq!(waypoints.is_file(), is_near, "{corners}");
     }
 }
+
+#[test]
+fn the_command_that_converts_a_map_names_it() {
+    let folder = project();
+    let kml = format!("<?xml version=\"1.0\"?><kml>{}</kml>", " ".repeat(5000));
+    let map = file(folder.path(), "site.kml", kml);
+    let map = map.to_str().unwrap();
+    let (_, stderr) = refused(folder.path(), map);
+    let command = format!("ogr2ogr -f GeoJSON region.geojson {map}");
+    assert!(stderr.contains(&command), "{stderr}");
+}

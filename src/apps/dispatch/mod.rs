@@ -31,7 +31,7 @@ use crate::{
         input::FileKind,
         paths::{self, absolute},
         platform,
-        shell::sh_word,
+        shell::{command_path, sh_word},
     },
     config::Share,
     io::{
@@ -181,7 +181,10 @@ impl Dispatch {
         let selection = &backend.at_its_size(selection);
         let project = absolute(&selection.project.home);
         let Some(Tasks { program, runner }) = backend.tasks else {
-            return Err(DispatchError::NoTasks(backend.name));
+            return Err(DispatchError::NoTasks {
+                project,
+                backend: backend.name,
+            });
         };
         let runner = runner(selection, export);
         let task = |(i, cluster): (usize, &RankedCluster)| {
@@ -476,8 +479,11 @@ fn scripts(files: &FileSet) -> BTreeMap<String, Vec<u8>> {
 /// An error in handing clusters to a queue.
 #[derive(Debug, thiserror::Error)]
 pub enum DispatchError {
-    #[error("viewrank cannot run {0} view by view")]
-    NoTasks(&'static str),
+    #[error("viewrank cannot run {backend} view by view")]
+    NoTasks {
+        project: PathBuf,
+        backend: &'static str,
+    },
     #[error("cannot find the program {}", program.display())]
     Program {
         program: PathBuf,
@@ -517,8 +523,9 @@ fn or_sgm() -> &'static str {
 impl Hint for DispatchError {
     fn hint(&self) -> Option<Advice> {
         Some(match self {
-            Self::NoTasks(name) => format!(
-                "run what `viewrank plan PROJECT --backend {name}` prints, or take --backend sgm, openmvs, colmap or mve"
+            Self::NoTasks { project, backend } => format!(
+                "run what `viewrank plan {} --backend {backend}` prints, or take --backend sgm, openmvs, colmap or mve",
+                command_path(project)
             )
             .into(),
             Self::Program { program, .. } if program.is_dir() => {

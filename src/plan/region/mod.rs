@@ -10,7 +10,10 @@ pub use ground::{
 };
 
 use crate::{
-    base::error::{Advice, Hint},
+    base::{
+        error::{Advice, Hint},
+        shell::command_path,
+    },
     config::RegionChoice,
     io::{
         paths::from_here,
@@ -58,12 +61,14 @@ impl RegionFileError {
 
 impl Hint for RegionFileError {
     fn hint(&self) -> Option<Advice> {
-        let fault = match self {
-            Self::Read { fault, .. } => fault,
+        let (path, fault) = match self {
+            Self::Read { path, fault } => (path, fault),
             Self::Shape { fault, .. } => return fault.hint(),
         };
         let hint = match fault {
-            RegionFault::Mistaken(mistaken) => mistaken.cure,
+            RegionFault::Mistaken(mistaken) => {
+                return Some(mistaken.cure.replace("FILE", &command_path(path)).into());
+            }
             RegionFault::Hidden => "name the file with --region yourself to see it",
             RegionFault::Read(_) => "check that the file exists and is readable",
             RegionFault::Crossing(_) => {
