@@ -23,6 +23,7 @@ pub static BACKEND: Backend = Backend {
     use_of_views: Some("Take"),
     takes_distorted: true,
     export,
+    reads_raw: true,
     ..Backend::DEFAULT
 };
 

@@ -110,6 +110,8 @@ pub struct Backend {
     pub takes_distorted: bool,
     /// Extensions of images that its program does not read, in lower case.
     pub unread: &'static [&'static str],
+    /// True if its program reads raw pictures of cameras.
+    pub reads_raw: bool,
     /// True if it takes the masks where viewrank finds them.
     pub takes_masks: bool,
     /// True if the project is set up for it; `plan` then writes its files by default.
@@ -148,6 +150,7 @@ impl Backend {
         own_scale: full_size,
         takes_distorted: false,
         unread: &[],
+        reads_raw: false,
         takes_masks: false,
         serves: |_| false,
         mixes_sizes: false,

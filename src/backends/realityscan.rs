@@ -29,6 +29,7 @@ pub static BACKEND: Backend = Backend {
     takes_distorted: true,
     traps,
     export,
+    reads_raw: true,
     ..Backend::DEFAULT
 };
 

@@ -12,7 +12,7 @@ use crate::{
     base::shell::command_path,
     io::{
         paths,
-        project::{ImageFaults, ImageFolder, Project, slashes},
+        project::{ImageFaults, ImageFolder, Project, is_raw, slashes},
     },
     model::{
         camera::CameraModel,
@@ -220,8 +220,7 @@ impl Selection<'_> {
         };
         // To undistort no images, or others than the model's, would fail next.
         self.images(backend)?;
-        let model = self.scene.camera_of(view).model();
-        let camera = model.name();
+        let camera = self.scene.camera_of(view).model().name();
         let hint = match self.project.undistorted_workspace() {
             Some(dense) => {
                 format!(
@@ -229,7 +228,7 @@ impl Selection<'_> {
                     command_path(&dense)
                 )
             }
-            None if model == CameraModel::Equirectangular => CUT_PANORAMAS.into(),
+            None if self.has_panoramas() => CUT_PANORAMAS.into(),
             None => {
                 let (root, model) = (self.project.as_argument(), &self.project.model);
                 let dense = command_path(&self.project.place_of_undistorted());
@@ -261,6 +260,13 @@ impl Selection<'_> {
             ),
             hint,
         })
+    }
+
+    /// Returns whether the scene has panoramas.
+    pub fn has_panoramas(&self) -> bool {
+        let cameras = self.scene.view_indices();
+        let mut models = cameras.map(|view| self.scene.camera_of(view).model());
+        models.any(|model| model == CameraModel::Equirectangular)
     }
 
     /// Returns the level of an image pyramid, each of half the side of the one before, at which
@@ -378,15 +384,18 @@ pub fn of_unread_kind(
     scene: &Scene,
     backend: &str,
 ) -> Option<(String, &'static str)> {
-    let (folder, unread) = (project.images.as_ref()?, by_name(backend).ok()?.unread);
+    let (folder, backend) = (project.images.as_ref()?, by_name(backend).ok()?);
     let file = |view: ViewIndex| folder.name_of_kind(scene.name(view));
     let mut files = scene.view_indices().map(file);
-    let is_unread = |name: &String| extension(name, unread).is_some();
+    let is_raw = |name: &str| !backend.reads_raw && is_raw(Path::new(name));
+    let is_unread = |name: &String| extension(name, backend.unread).is_some() || is_raw(name);
     let first = files.next().filter(is_unread)?;
-    files.all(|name| is_unread(&name)).then_some((
-        first,
-        "convert the images to JPEG or PNG, with the same names but for the extension",
-    ))
+    let cure = if is_raw(&first) {
+        "develop the raw pictures into another folder, neither turned nor cropped, and name it with --images"
+    } else {
+        "convert the images to JPEG or PNG, with the same names but for the extension"
+    };
+    files.all(|name| is_unread(&name)).then_some((first, cure))
 }
 
 /// Spacing of f32 from which it is too coarse, ground pixels.

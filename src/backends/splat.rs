@@ -17,8 +17,8 @@ use nalgebra::{Matrix3, Matrix4, Vector3};
 use serde_json::json;
 
 use super::{
-    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
-    Honours, LastRun, Selection, Trap,
+    Backend, BackendError, CUT_PANORAMAS, Capabilities, ExaminedProject, Export, ExportOptions,
+    ExportRecord, Honours, LastRun, Selection, Trap,
     images::{ANY_PROGRAM, listed_views, name_lines},
     selection,
     workspace::{Workspace, add_workspace},
@@ -271,7 +271,9 @@ fn short_name(name: &str) -> &str {
 
 fn warnings(selection: &Selection, views: &[ViewIndex]) -> Vec<String> {
     let mut warnings = Vec::new();
-    if views
+    if selection.has_panoramas() {
+        warnings.push(format!("these programs take no panoramas: {CUT_PANORAMAS}"));
+    } else if views
         .iter()
         .any(|&v| !selection.scene.camera_of(v).is_pinhole())
     {

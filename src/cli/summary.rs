@@ -658,13 +658,9 @@ fn notes_on_folder(project: &Project) -> Vec<String> {
         return Vec::new();
     };
     let mut notes = Vec::new();
-    let others = images.rival.as_ref().map_or_else(String::new, |rival| {
-        let rival = shown_path(rival);
-        format!("; images of the same names are in {rival}")
-    });
     if images.is_searched {
         notes.push(format!(
-            "The images are in {}{others} (--images names another folder).",
+            "The images are in {} (--images names another folder).",
             images.display()
         ));
     }

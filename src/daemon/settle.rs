@@ -16,7 +16,10 @@ use std::{
 };
 
 use super::discover::{self, InputFolders};
-use crate::{base::input, io::project::is_image};
+use crate::{
+    base::input,
+    io::project::{TEST_LISTS, is_image},
+};
 
 /// Metadata of one file or folder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -274,7 +277,12 @@ impl Stamp {
 fn is_input_file(name: &str, with_cloud: bool) -> bool {
     let ends = |suffixes: &[&str]| suffixes.iter().any(|suffix| name.ends_with(suffix));
     let cloud = with_cloud && ends(&[".nvm", ".out", ".ply"]);
-    discover::is_model_file(name) || name == "viewrank.toml" || ends(&[".mvs", ".ori"]) || cloud
+    let is_list = TEST_LISTS.contains(&name);
+    discover::is_model_file(name)
+        || is_list
+        || name == "viewrank.toml"
+        || ends(&[".mvs", ".ori"])
+        || cloud
 }
 
 /// A stamp and the time since when it has been unchanged.

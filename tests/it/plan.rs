@@ -11,11 +11,11 @@ use serde_json::Value;
 use super::valley::{copy, printed, printed_by_geometry, project, viewrank};
 
 /// Plans, and returns what was printed on stdout.
-/// Plans without comparing pictures.
 fn plan(project: &Path, options: &[&str]) -> String {
     printed_by_geometry(&[&["plan", project.to_str().unwrap()], options].concat())
 }
 
+/// As [`plan`], which compares no pictures, with these.
 fn plan_with_pictures(project: &Path, options: &[&str]) -> String {
     printed(&[&["plan", project.to_str().unwrap()], options].concat())
 }

@@ -23,7 +23,6 @@ const START: u64 = 512;
 const UNPACK: &str = "unpack it";
 const HEIC: &str = "a HEIC image, which MVS programs do not read";
 const AVIF: &str = "an AVIF image, which MVS programs do not read";
-const RAW: &str = "a raw picture of a camera, which MVS programs do not read";
 const AS_JPEG: &str = "convert the images to JPEG, without turning or scaling them";
 const AS_UTF8: &str = "save it again as UTF-8";
 /// First bytes, what they are, and what to do.
@@ -91,21 +90,6 @@ fn picture_of_phones(start: &[u8]) -> Option<Mistaken> {
     Some(Mistaken { what, cure })
 }
 
-const RAW_PICTURE: Mistaken = Mistaken {
-    what: RAW,
-    cure: "put the developed pictures (JPEG, TIFF) of the same names beside them, neither turned nor cropped",
-};
-/// Extensions of the raw pictures of cameras, in lower case. Most are TIFFs of a small picture.
-const OF_RAW: [&str; 12] = [
-    "3fr", "arw", "cr2", "cr3", "dng", "iiq", "nef", "orf", "pef", "raf", "rw2", "srw",
-];
-
-/// A raw picture, by its name.
-pub fn raw_picture(path: &Path) -> Option<Mistaken> {
-    let extension = path.extension()?.to_str()?.to_ascii_lowercase();
-    OF_RAW.contains(&&*extension).then_some(RAW_PICTURE)
-}
-
 /// What to do about a file that [`by_start`] says to be this.
 pub(crate) fn cure_of(what: &str) -> Option<&'static str> {
     let page = by_start(PAGES[0]);
@@ -114,7 +98,7 @@ pub(crate) fn cure_of(what: &str) -> Option<&'static str> {
         what,
         cure: AS_JPEG,
     });
-    let mut all = kinds.chain(page).chain(pictures).chain([RAW_PICTURE]);
+    let mut all = kinds.chain(page).chain(pictures);
     all.find(|kind| kind.what == what).map(|kind| kind.cure)
 }
 

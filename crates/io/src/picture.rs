@@ -31,13 +31,38 @@ pub const TIFF_OF_JPEGS: &str = "JPEG compression: convert it to a JPEG, a PNG o
 const BESIDE: u64 = 64 << 20;
 const BESIDE_PER_BYTE: u64 = 32;
 
+/// First bytes of a TIFF for files of any length, which have a mark of their own.
+const BIG_TIFF: [&[u8]; 2] = [b"II+\0", b"MM\0+"];
+
+/// The format of an image by its first bytes.
+pub fn format(bytes: &[u8]) -> Option<ImageFormat> {
+    let is_big_tiff = BIG_TIFF.iter().any(|start| bytes.starts_with(start));
+    let known = || image::guess_format(bytes).ok();
+    if is_big_tiff {
+        Some(ImageFormat::Tiff)
+    } else {
+        known()
+    }
+}
+
+fn reader<R: BufRead + Seek>(mut file: R) -> io::Result<ImageReader<R>> {
+    let is_big_tiff = format(file.fill_buf()?) == Some(ImageFormat::Tiff);
+    let reader = ImageReader::new(file);
+    if is_big_tiff {
+        let mut reader = reader;
+        reader.set_format(ImageFormat::Tiff);
+        return Ok(reader);
+    }
+    reader.with_guessed_format()
+}
+
 /// The bytes of a picture, of whose parts none is costly.
 #[derive(Clone, Copy)]
 pub struct Checked<'a>(&'a [u8]);
 
 impl<'a> Checked<'a> {
     pub fn new(bytes: &'a [u8]) -> Result<Self, CostlyJpeg> {
-        if image::guess_format(bytes).ok() == Some(ImageFormat::Jpeg) {
+        if format(bytes) == Some(ImageFormat::Jpeg) {
             refuse_costly(bytes)?;
         }
         Ok(Self(bytes))
@@ -48,7 +73,7 @@ impl<'a> Checked<'a> {
     }
 
     fn decoder(self) -> ImageResult<impl ImageDecoder + 'a> {
-        decoder(ImageReader::new(Cursor::new(self.0)).with_guessed_format()?)
+        decoder(reader(Cursor::new(self.0))?)
     }
 
     /// Width and height by the header.
@@ -89,7 +114,7 @@ impl<'a> Checked<'a> {
 
 /// Reads the header of an image, from its start.
 pub fn header<'a>(file: impl BufRead + Seek + 'a) -> ImageResult<impl ImageDecoder + 'a> {
-    let mut reader = ImageReader::new(file).with_guessed_format()?;
+    let mut reader = reader(file)?;
     if reader.format() == Some(ImageFormat::Jpeg) {
         let mut file = reader.into_inner();
         let mut bytes = Vec::new();
@@ -140,7 +165,7 @@ pub fn end_of_tiff(file: impl Read + Seek) -> Option<u64> {
 }
 
 fn refuse_tiff_of_jpegs(bytes: &[u8]) -> ImageResult<()> {
-    if image::guess_format(bytes).ok() != Some(ImageFormat::Tiff)
+    if format(bytes) != Some(ImageFormat::Tiff)
         || !Decoder::new(Cursor::new(bytes))
             .is_ok_and(|mut tiff| is_tiff_of_jpegs(&mut tiff).unwrap_or(true))
     {
@@ -153,7 +178,7 @@ fn refuse_tiff_of_jpegs(bytes: &[u8]) -> ImageResult<()> {
 
 /// Width and height by the header of an image; `None` if it isn't one.
 pub fn size(file: impl BufRead + Seek) -> Option<[u32; 2]> {
-    let reader = ImageReader::new(file).with_guessed_format().ok()?;
+    let reader = reader(file).ok()?;
     let is_jpeg = reader.format() == Some(ImageFormat::Jpeg);
     let file = reader.into_inner();
     let (width, height) = if is_jpeg {

@@ -20,7 +20,7 @@ use viewrank_core::{
 use crate::{
     image::{self, Image, ImageError},
     input::{self, FileKind},
-    project::{self, ImageFolder, Project, Unread},
+    project::{self, ImageFolder, Project, Unread, is_raw},
 };
 
 /// Image and mask folders of a project.
@@ -128,9 +128,14 @@ impl PictureFolders {
         if self.without_image.binary_search(&view).is_ok() {
             return Err(Unread::Missing.into());
         }
-        let (name, camera) = (scene.name(view), scene.camera_of(view));
+        let (file, camera) = (folder.file(scene.name(view)), scene.camera_of(view));
+        if is_raw(&file) {
+            return Err(
+                Unread::Broken("a raw picture of a camera, which viewrank does not read").into(),
+            );
+        }
         let wanted = |full| grey_size(full, camera, image_scale);
-        let bytes = input::read(&folder.file(name), FileKind::Picture)?;
+        let bytes = input::read(&file, FileKind::Picture)?;
         let (image, full) = Image::decode_grey(&bytes, camera.most_picture_pixels(), wanted)?;
         check_shape(full, camera)?;
         let grey = Grey::new(image.width as usize, image.height as usize, image.pixels);

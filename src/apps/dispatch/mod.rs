@@ -213,11 +213,7 @@ impl Dispatch {
             .collect();
         let folder = project.join("viewrank/dispatch").join(backend.name);
         let workplace = absolute(&export.files.root);
-        let list = |name: &&str| match export.files.files.get(*name) {
-            Some(Contents::Bytes(bytes)) => Some(((*name).into(), bytes.clone())),
-            _ => None,
-        };
-        let lists = runner.lists.iter().filter_map(list).collect();
+        let lists = lists(&export.files, runner.lists);
         Ok(Self {
             project,
             backend: backend.name,
@@ -466,6 +462,15 @@ fn text_of(read: Result<Vec<u8>, OutputError>) -> String {
     read.ok()
         .and_then(|bytes| String::from_utf8(bytes).ok())
         .unwrap_or_default()
+}
+
+/// Returns the contents of these files of an export.
+fn lists(files: &FileSet, names: &[&str]) -> BTreeMap<String, Vec<u8>> {
+    let list = |name: &&str| match files.files.get(*name) {
+        Some(Contents::Bytes(bytes)) => Some(((*name).into(), bytes.clone())),
+        _ => None,
+    };
+    names.iter().filter_map(list).collect()
 }
 
 fn scripts(files: &FileSet) -> BTreeMap<String, Vec<u8>> {

@@ -13,6 +13,8 @@ mod sense;
 mod tests;
 
 pub use model::NO_TRACKS;
+use std::collections::BTreeSet;
+
 pub use partners::partners_in_words;
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -288,7 +290,12 @@ fn distorted(inputs: &Inputs) -> Option<Finding> {
         .filter(|camera| !camera.is_pinhole())
         .map(Camera::model)
         .collect();
-    let camera = models.first()?.name();
+    if models.is_empty() {
+        return None;
+    }
+    let names: BTreeSet<&str> = models.iter().map(|model| model.name()).collect();
+    let names = names.into_iter().collect::<Vec<_>>().join(" or ");
+    let all = inputs.scene.views.len();
     let refuse: Vec<&'static str> = inputs
         .backends
         .iter()
@@ -304,10 +311,10 @@ fn distorted(inputs: &Inputs) -> Option<Finding> {
         None if models.contains(&CameraModel::Equirectangular) => CUT_PANORAMAS.into(),
         None => format!("viewrank undistort {root}, then viewrank plan {own}"),
     };
-    let whose = if models.len() == inputs.scene.views.len() {
-        format!("the cameras are {camera}")
-    } else {
-        format!("{} have {camera} cameras", counted(models.len(), "view"))
+    let whose = match models.len() {
+        n if n == all => format!("the cameras are {names}"),
+        1 => format!("the camera of 1 of {all} views is {names}"),
+        n => format!("the cameras of {n} of {all} views are {names}"),
     };
     let what = format!("{whose}, but these programs need images without lens distortion");
     let finding = Finding::new(Severity::Note, "distorted-images", what, cure);

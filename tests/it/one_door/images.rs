@@ -170,8 +170,40 @@ fn photographs_come_before_their_masks_depths_and_reduced_copies() {
         shots(&folder, other, size, colour);
         shots(&folder, "photos", [100, 75], Rgb8);
         assert_found(&folder, |n| format!("photos/view_{n}.png"));
-        assert_eq!(folder.open().images.unwrap().rival, None, "{other}");
     }
+}
+
+#[test]
+fn images_in_a_folder_beside_the_usual_one_are_found() {
+    let folder = Folder::new();
+    folder.colmap("sparse/0", &ColmapModel::from_scene(&scene()));
+    let of = |n: usize| if n < 6 { "images" } else { "images2" };
+    folder.pictures(&scene(), |name| format!("{}/{name}", of(number(name))));
+    assert_found(&folder, |n| format!("{}/view_{n}.png", of(n)));
+}
+
+#[test]
+fn what_cannot_be_read_says_nothing_of_a_folder() {
+    let pointer = b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n";
+    for (unread, of) in [(1, 100), (9, 50)] {
+        let folder = Folder::new();
+        folder.colmap("sparse/0", &ColmapModel::from_scene(&scene()));
+        shots(&folder, "photos", [100, 75], image::ColorType::Rgb8);
+        shots(&folder, "small", [of, of * 3 / 4], image::ColorType::Rgb8);
+        for n in 0..unread {
+            folder.write(&format!("photos/view_{n}.png"), pointer);
+        }
+        assert_found(&folder, |n| format!("photos/view_{n}.png"));
+    }
+}
+
+#[test]
+fn photographs_may_be_in_a_folder_whose_name_begins_like_that_of_results() {
+    let folder = Folder::new();
+    folder.colmap("sparse/0", &ColmapModel::from_scene(&scene()));
+    shots(&folder, "Segovia", [100, 75], image::ColorType::Rgb8);
+    shots(&folder, "seg", [100, 75], image::ColorType::Rgb8);
+    assert_found(&folder, |n| format!("Segovia/view_{n}.png"));
 }
 
 #[test]
@@ -181,32 +213,48 @@ fn of_two_folders_that_look_the_same_the_other_is_named() {
     shots(&folder, "first", [100, 75], image::ColorType::Rgb8);
     shots(&folder, "second", [100, 75], image::ColorType::Rgb8);
     assert_found(&folder, |n| format!("first/view_{n}.png"));
-    let (_, stdout, _) = folder.plan(&["--backend", "images"]);
-    let words = stdout.split_whitespace().collect::<Vec<_>>().join(" ");
-    assert!(words.contains("of the same names are in"), "{stdout}");
-    assert!(words.contains("/second"), "{stdout}");
+    shots(&folder, "grey", [100, 75], image::ColorType::L8);
+    let warnings = folder.read().warnings;
+    let is_said = |word: &str| warnings.iter().any(|warning| warning.text.contains(word));
+    assert!(
+        is_said("/first is taken") && is_said("/second") && is_said("/grey"),
+        "{warnings:?}"
+    );
 }
 
 #[test]
-fn developed_pictures_stand_for_raw_ones() {
+fn an_image_folder_of_other_pictures_is_not_the_one_that_is_meant() {
+    let folder = Folder::new();
+    folder.colmap("sparse/0", &ColmapModel::from_scene(&scene()));
+    shots(&folder, "images", [50, 37], image::ColorType::Rgb8);
+    assert_found(&folder, |n| format!("images/view_{n}.png"));
+    shots(&folder, "originals", [100, 75], image::ColorType::Rgb8);
+    assert_found(&folder, |n| format!("originals/view_{n}.png"));
+}
+
+#[test]
+fn raw_pictures_are_for_the_programs_that_read_them() {
     let folder = Folder::new();
     let raw = renamed(|n| format!("view_{n}.CR2"));
     folder.colmap("sparse/0", &raw);
     for n in 0..9 {
         folder.write(&format!("images/view_{n}.CR2"), b"II*\0\x10\0\0\0CR\x02\0");
     }
+    let (code, _, stderr) = folder.plan(&["--backend", "realityscan"]);
+    assert_eq!(code, 0, "{stderr}");
     let (code, stdout, stderr) = folder.plan(&["--backend", "openmvs"]);
     assert_eq!(code, 1, "{stderr}");
-    assert!(stderr.contains("view_0.CR2 is a raw picture"), "{stderr}");
+    assert!(stderr.contains("which view_0.CR2 is not"), "{stderr}");
     assert!(
-        stdout.contains("Next: put the developed pictures"),
+        stdout.contains("Next: develop the raw pictures"),
         "{stdout}"
     );
     folder.pictures(&scene(), |name| {
-        format!("images/{}", name.replace("png", "JPG"))
+        format!("developed/{}", name.replace("png", "JPG"))
     });
-    assert_found(&folder, |n| format!("images/view_{n}.JPG"));
-    let (code, _, stderr) = folder.plan(&["--backend", "openmvs"]);
+    let developed = folder.at("developed");
+    let images = ["--images", developed.to_str().unwrap()];
+    let (code, _, stderr) = folder.plan(&[&["--backend", "openmvs"], &images[..]].concat());
     assert_eq!(code, 0, "{stderr}");
 }
 

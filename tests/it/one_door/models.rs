@@ -82,9 +82,14 @@ fn the_models_that_instant_ngp_is_made_from_come_before_its_own() {
         .write("transforms.json", transforms(&scene()))
         .pictures(&scene(), |name| format!("images/{name}"));
     assert_eq!(taken(&folder).0, "colmap_text");
-    let folder = Folder::new();
     folder.colmap("colmap_sparse/0", &model());
-    assert_eq!(taken(&folder).0, "colmap_sparse/0");
+    part(&folder, "colmap_text", 5);
+    for file in ["cameras", "images", "points3D"] {
+        fs::remove_file(folder.at(&format!("colmap_text/{file}.txt"))).unwrap();
+    }
+    let (model, others) = taken(&folder);
+    assert_eq!(model, "colmap_sparse/0");
+    assert!(others.contains("colmap_text (5 images)"), "{others}");
 }
 
 #[test]
@@ -103,12 +108,27 @@ fn a_model_that_is_passed_over_is_planned_by_itself() {
 
 #[test]
 fn images_that_a_list_of_a_trainer_names_are_kept_for_tests() {
-    for (list, names) in [
-        ("sparse/0/test.txt", "view_2.png\nview_7.png\n"),
-        ("test_list.txt", "view_7.png\r\nview_2.png\r\nother.png\r\n"),
+    for lists in [
+        &[("sparse/0/test.txt", "view_2.png\nview_7.png\n")][..],
+        &[(
+            "test_list.txt",
+            "images/VIEW_7.PNG\r\n./view_2\r\nother.png\r\n",
+        )],
+        &[(
+            "transforms.json",
+            r#"{"frames":[],"test_filenames":["images/view_2.png","view_7.jpg"]}"#,
+        )],
+        &[
+            ("sparse/0/test.txt", "another.png\n"),
+            ("test_list.txt", "view_2.png\nview_7.png\nview_4.png\n"),
+            ("train_list.txt", "view_3.png\nview_4.png\n"),
+        ],
     ] {
         let folder = Folder::new();
-        folder.colmap("sparse/0", &model()).write(list, names);
+        folder.colmap("sparse/0", &model());
+        for (list, names) in lists {
+            folder.write(list, names);
+        }
         folder.pictures(&scene(), |name| format!("images/{name}"));
         let (code, _, stderr) = folder.plan(&["--backend", "splat", "--budget", "9"]);
         assert_eq!(code, 0, "{stderr}");
@@ -127,7 +147,60 @@ fn images_that_a_list_of_a_trainer_names_are_kept_for_tests() {
     folder
         .colmap("sparse/0", &model())
         .write("test_list.txt", all);
-    assert_eq!(folder.read().tests, []);
+    let scene = folder.read();
+    assert_eq!(scene.tests, []);
+    assert!(
+        scene.warnings[0].text.contains("names all images"),
+        "{:?}",
+        scene.warnings
+    );
+    folder.write("test_list.txt", "view_2.png\nanother.png\n");
+    let scene = folder.read();
+    assert_eq!(scene.tests.len(), 1);
+    assert!(
+        scene.warnings[0].text.contains("names another.png"),
+        "{:?}",
+        scene.warnings
+    );
+}
+
+#[cfg(unix)]
+#[test]
+fn a_model_of_links_to_nothing_is_to_be_fetched() {
+    let folder = Folder::new();
+    fs::create_dir_all(folder.at("sparse/0")).unwrap();
+    for file in ["cameras", "images", "points3D"] {
+        let link = folder.at(&format!("sparse/0/{file}.bin"));
+        std::os::unix::fs::symlink("../../.git/annex/objects/x", link).unwrap();
+    }
+    folder.pictures(&scene(), |name| format!("images/{name}"));
+    let (code, _, stderr) = folder.plan(&[]);
+    assert_eq!(code, 1);
+    assert!(
+        stderr.contains("cameras.bin is a link to a file that is not there"),
+        "{stderr}"
+    );
+}
+
+#[test]
+fn a_plan_of_an_export_for_splats_keeps_none_of_its_training_images_apart() {
+    let folder = Folder::new();
+    folder.colmap("sparse/0", &model());
+    folder.pictures(&scene(), |name| format!("images/{name}"));
+    let (code, _, stderr) = folder.plan(&["--backend", "splat", "--budget", "6"]);
+    assert_eq!(code, 0, "{stderr}");
+    let export = Project::open(&folder.at("viewrank/splat"), None).unwrap();
+    assert_eq!(export.read_scene().unwrap().tests, []);
+}
+
+#[test]
+fn a_pointer_that_is_never_taken_is_no_error() {
+    let folder = Folder::new();
+    let pointer = b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n";
+    folder
+        .colmap("sparse/0", &model())
+        .write("transforms.json", pointer);
+    assert_eq!(taken(&folder).0, "sparse/0");
 }
 
 #[test]
@@ -488,6 +561,12 @@ fn a_chunk_with_more_cameras_is_taken_before_the_first() {
         .cloud("points.ply", &at(&[[1.0, 0.0, 9.0]]));
     assert_eq!(names(&folder.read()), ["b", "c"]);
     assert!(taken(&folder).1.contains("chunk a (1 images)"));
+    let in_list = two.replace("<chunk ", "<chunks><chunk ");
+    folder.write(
+        "cameras.xml",
+        in_list.replace("</chunk>", "</chunk></chunks>"),
+    );
+    assert_eq!(names(&folder.read()), ["b", "c"]);
 }
 
 #[test]

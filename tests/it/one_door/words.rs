@@ -487,8 +487,11 @@ fn a_mask_that_is_a_pointer_is_said_to_be_one() {
 fn panoramas_are_to_be_cut_before_anything_else() {
     let folder = Folder::new();
     let mut model = ColmapModel::from_scene(&scene());
-    model.cameras[0] =
-        Camera::new(1, CameraModel::Equirectangular, 100, 75, vec![100.0, 75.0]).unwrap();
+    let panorama = Camera::new(2, CameraModel::Equirectangular, 100, 75, vec![100.0, 75.0]);
+    let distorted = vec![85.0, 50.0, 37.5, 0.001];
+    let distorted = Camera::new(1, CameraModel::SimpleRadial, 100, 75, distorted);
+    model.cameras = vec![distorted.unwrap(), panorama.unwrap()];
+    model.images[3].camera_id = 2;
     folder
         .colmap("sparse/0", &model)
         .pictures(&scene(), |name| format!("images/{name}"));
@@ -498,13 +501,23 @@ fn panoramas_are_to_be_cut_before_anything_else() {
         "{stdout}{stderr}"
     );
     assert!(
-        stderr.contains("EQUIRECTANGULAR: cut the panoramas"),
+        stderr.contains("SIMPLE_RADIAL: cut the panoramas"),
+        "{stderr}"
+    );
+    let (_, _, stderr) = folder.plan(&["--backend", "splat"]);
+    assert!(
+        stderr.contains("no panoramas: cut the panoramas"),
         "{stderr}"
     );
     let path = folder.path().to_str().unwrap();
     let (_, stdout, _) = said(&viewrank(&["doctor", path]));
     assert!(stdout.contains("cut the panoramas"), "{stdout}");
     assert!(!stdout.contains("viewrank undistort"), "{stdout}");
+    let words = stdout.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(
+        words.contains("the cameras are EQUIRECTANGULAR or SIMPLE_RADIAL"),
+        "{stdout}"
+    );
 }
 
 /// A block without distortion, in a reference system, its photos seen from 10 above.

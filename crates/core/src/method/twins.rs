@@ -29,8 +29,12 @@ const MOST_SCALE: f64 = std::f64::consts::SQRT_2;
 const SAMPLES: usize = 128;
 /// Powers of two by which the depths of twins may differ: lenses of a thousandfold focal length.
 const MOST_OCTAVES: i32 = 10;
-/// Views around one that are looked at: of more, most are twins of each other.
-const MOST_NEAR: usize = 1000;
+/// Pairs of views that are looked at: of more views in one place, the first around each.
+const MOST_PAIRS: usize = 1 << 25;
+/// Views around one that are looked at, however many there are.
+const LEAST_NEAR: usize = 1000;
+/// Exponents of the cubes of all numbers.
+const MOST_EXPONENT: f64 = 1100.0;
 
 /// A view that is set aside.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -208,6 +212,7 @@ impl Grid {
     /// Returns the numbers of the views that are near enough to be twins of one, ascending; of
     /// very many, the first.
     fn near(&self, placed: &Placed) -> Vec<usize> {
+        let most = (MOST_PAIRS / self.views.max(1)).max(LEAST_NEAR);
         let exponent = placed.exponent();
         let exponents = exponent - MOST_OCTAVES..=exponent + MOST_OCTAVES;
         let cubes = self.exponents.range(exponents).flat_map(|&exponent| {
@@ -219,12 +224,12 @@ impl Grid {
             offsets.filter_map(move |offset| self.cubes.get(&(exponent, position(offset))))
         });
         let mut near: Vec<usize> = cubes
-            .flat_map(|of_cube| of_cube.iter().take(MOST_NEAR))
+            .flat_map(|of_cube| of_cube.iter().take(most))
             .copied()
             .collect();
         near.sort_unstable();
         near.dedup();
-        near.truncate(MOST_NEAR);
+        near.truncate(most);
         near
     }
 }
@@ -250,7 +255,8 @@ impl Placed {
 
     /// Exponent of the edge of its cube in a [`Grid`].
     fn exponent(&self) -> i32 {
-        (MOST_BASELINE * self.depth).log2().floor() as i32 + 1
+        let exponent = (MOST_BASELINE * self.depth).log2().floor();
+        exponent.clamp(-MOST_EXPONENT, MOST_EXPONENT) as i32 + 1
     }
 
     /// Position in cubes of an edge.
@@ -466,10 +472,22 @@ mod tests {
 
     #[test]
     fn of_very_many_views_at_one_place_the_first_are_looked_at() {
-        let mut grid = Grid::default();
         let still = placed([1.0, 2.0, 3.0], 10.0);
-        (0..2 * MOST_NEAR).for_each(|_| grid.add(&still));
-        assert_eq!(grid.near(&still), (0..MOST_NEAR).collect::<Vec<_>>());
+        for (views, looked_at) in [(5000, 5000), (12_000, MOST_PAIRS / 12_000)] {
+            let mut grid = Grid::default();
+            (0..views).for_each(|_| grid.add(&still));
+            assert_eq!(grid.near(&still), (0..looked_at).collect::<Vec<_>>());
+        }
+    }
+
+    #[test]
+    fn views_of_any_depth_have_a_cube() {
+        for depth in [f64::INFINITY, f64::MAX, f64::MIN_POSITIVE, 5e-324, 1.0] {
+            let mut grid = Grid::default();
+            let own = placed([1.0, 2.0, 3.0], depth);
+            grid.add(&own);
+            assert_eq!(grid.near(&own), [0], "{depth}");
+        }
     }
 
     #[test]

@@ -98,6 +98,14 @@ struct Lens {
     p2: Option<f64>,
 }
 
+/// Returns the paths that a file keeps apart for tests, sorted; none of another file.
+pub fn tests(bytes: &[u8]) -> Vec<String> {
+    let splits: Splits = json(bytes).unwrap_or_default();
+    let mut tests: Vec<String> = splits.tests().into_iter().collect();
+    tests.sort_unstable();
+    tests
+}
+
 /// Reads cameras and poses; returns the path of the points, relative to the file, too. `spelled`
 /// completes the names of images, which some writers leave without extension.
 pub fn read(

@@ -135,7 +135,7 @@ impl Image {
         let bound = bound.of_photograph(bytes.len() as u64);
         let picture = Checked::new(bytes)?;
         let _turn = picture.turn();
-        if image::guess_format(bytes).map_err(|_| unknown(bytes))? == ImageFormat::Jpeg {
+        if picture::format(bytes).ok_or_else(|| unknown(bytes))? == ImageFormat::Jpeg {
             let image = jpeg(picture, bound, &wanted)?;
             let [width, height] = wanted(image.full);
             return Ok(image.shrunk(width, height));
@@ -169,7 +169,7 @@ impl Image {
         let bound = bound.of_photograph(bytes.len() as u64);
         let picture = Checked::new(bytes)?;
         let _turn = picture.turn();
-        let (pixels, full) = match image::guess_format(bytes).map_err(|_| unknown(bytes))? {
+        let (pixels, full) = match picture::format(bytes).ok_or_else(|| unknown(bytes))? {
             ImageFormat::Jpeg => jpeg_grey(picture, bound)?,
             _ => {
                 let image = open(picture, bound)?.into_luma8();
@@ -316,7 +316,7 @@ fn open(picture: Checked, bound: PixelBound) -> Result<DynamicImage, ImageError>
 /// Decodes a mask: black pixels must not be used.
 pub fn mask(bytes: &[u8], bound: PixelBound) -> Result<Mask, ImageError> {
     let picture = Checked::new(bytes)?;
-    image::guess_format(bytes).map_err(|_| unknown(bytes))?;
+    picture::format(bytes).ok_or_else(|| unknown(bytes))?;
     let _turn = picture.turn();
     let image = open(picture, bound)?;
     let (width, height) = (image.width(), image.height());
@@ -337,7 +337,7 @@ pub fn mask(bytes: &[u8], bound: PixelBound) -> Result<Mask, ImageError> {
 pub fn mask_reading_bytes(path: &Path, bound: PixelBound) -> Option<u64> {
     let mut file = BufReader::new(input::open(path).ok()?);
     let length = file.get_ref().metadata().ok()?.len();
-    let is_jpeg = image::guess_format(file.fill_buf().ok()?).ok() == Some(ImageFormat::Jpeg);
+    let is_jpeg = picture::format(file.fill_buf().ok()?) == Some(ImageFormat::Jpeg);
     let decoder = picture::header(file).ok()?;
     let decoded =
         Some(decoder.total_bytes()).filter(|&bytes| bytes <= most_decoded_bytes(length))?;

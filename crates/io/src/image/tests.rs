@@ -414,3 +414,15 @@ fn grey_becomes_rgb() {
     .unwrap();
     assert!(image.rgb.iter().all(|v| v.abs_diff(90) <= 1));
 }
+
+#[test]
+fn a_tiff_with_the_mark_of_long_files_is_one() {
+    let mut bytes = Cursor::new(Vec::new());
+    let mut tiff = tiff::encoder::TiffEncoder::new_big(&mut bytes).unwrap();
+    tiff.write_image::<tiff::encoder::colortype::Gray8>(4, 2, &[7; 8])
+        .unwrap();
+    let bytes = bytes.into_inner();
+    let (grey, full) = Image::decode_grey(&bytes, PixelBound::LARGEST, |full| full).unwrap();
+    assert_eq!((grey.pixels, full), (vec![7; 8], [4, 2]));
+    assert_eq!(picture::size(Cursor::new(&bytes)), Some([4, 2]));
+}

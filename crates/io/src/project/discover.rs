@@ -23,7 +23,8 @@ use crate::{
         colmap::{ColmapImage, StoredPose},
         colmap_text,
     },
-    input, mistaken,
+    input,
+    mistaken::{self, Mistaken},
     paths::sub_folders,
 };
 
@@ -131,10 +132,10 @@ impl Found {
 /// Finds the models of a project: in the places where programs keep them; if there are none, in the
 /// folders below; if there are none, in dense workspaces, whose model is made from another one.
 fn models(root: &Path) -> Result<Vec<ModelLocation>, ProjectError> {
-    let own: Vec<PathBuf> = FOLDERS_OF_PROGRAMS
-        .iter()
-        .flat_map(|folder| with_sparse(&root.join(folder)))
-        .collect();
+    let own = FOLDERS_OF_PROGRAMS.iter();
+    let own = own.flat_map(|folder| with_sparse(&root.join(folder)));
+    let of_instant_ngp = with_sub_folders(&root.join(COLMAP_SPARSE));
+    let own: Vec<PathBuf> = own.chain(of_instant_ngp).collect();
     let found = models_in(root, &own, &folders_of_other_programs(root))
         .or(|| Ok(models_in(root, &sub_folders(root), &[])))?
         .or(|| models_below(root))?;
@@ -150,10 +151,10 @@ fn models(root: &Path) -> Result<Vec<ModelLocation>, ProjectError> {
 }
 
 /// Folders of a project that programs name: COLMAP's own is the project, nerfstudio has a `colmap`,
-/// the scripts of 3D Gaussian Splatting have a `distorted`, those of instant-ngp `colmap_sparse` and
-/// `colmap_text`.
-pub const FOLDERS_OF_PROGRAMS: [&str; 5] =
-    ["", "colmap", "distorted", "colmap_sparse", "colmap_text"];
+/// the scripts of 3D Gaussian Splatting have a `distorted`, that of instant-ngp a `colmap_text`.
+pub const FOLDERS_OF_PROGRAMS: [&str; 4] = ["", "colmap", "distorted", "colmap_text"];
+/// The script of instant-ngp has this for COLMAP's `sparse`.
+const COLMAP_SPARSE: &str = "colmap_sparse";
 /// Folders of Meshroom's nodes that have models, each in a folder named by a hash.
 const NODES_OF_MESHROOM: [&str; 2] = ["StructureFromMotion", "ConvertSfMFormat"];
 /// Folder of the dense workspaces of a project.
@@ -292,6 +293,8 @@ fn colmap_model(folder: &Path) -> Result<Option<ModelLocation>, ProjectError> {
         }
         if missing.len() < REQUIRED.len() {
             incomplete.get_or_insert((missing, format));
+        } else if let Some(link) = link_to_nothing(folder, format) {
+            return Err(link);
         }
     }
     if incomplete.is_some()
@@ -312,6 +315,19 @@ fn colmap_model(folder: &Path) -> Result<Option<ModelLocation>, ProjectError> {
             missing: file_names(&missing, format),
         }),
     }
+}
+
+/// Returns the error of a file of a model that is a link to none, as git-annex leaves it.
+fn link_to_nothing(folder: &Path, format: ModelFormat) -> Option<ProjectError> {
+    let mut files = REQUIRED
+        .map(|stem| colmap_file(folder, stem, format))
+        .into_iter();
+    let path = files.find(|file| file.is_symlink() && !file.exists())?;
+    let mistaken = Mistaken {
+        what: "a link to a file that is not there",
+        cure: "fetch the file (git annex get), or copy it here",
+    };
+    Some(ProjectError::Mistaken { path, mistaken })
 }
 
 /// The names of files of COLMAP models, for an error.
@@ -413,7 +429,12 @@ fn refuse_pointers(models: &[ModelLocation]) -> Result<(), ProjectError> {
     let Some((used, others)) = models.split_first() else {
         return Ok(());
     };
-    let files = others.iter().flat_map(|model| {
+    // Beside COLMAP's with tracks, those of other programs are never taken.
+    let colmap_alone = used.format.is_colmap() && used.contents == ModelContents::Tracks;
+    let others = others
+        .iter()
+        .filter(|model| model.format.is_colmap() || !colmap_alone);
+    let files = others.flat_map(|model| {
         if model.format.is_colmap() {
             REQUIRED
                 .map(|stem| colmap_file(&model.path, stem, model.format))

@@ -20,7 +20,6 @@ use super::{
 use crate::{
     formats::colmap::ColmapModel,
     input::{self, FileKind},
-    mistaken,
     output::Contents,
 };
 
@@ -55,17 +54,25 @@ const NOT_SEARCHED: [&str; 13] = [
     "export",
 ];
 
-/// What the names of folders begin with whose images programs have made from photographs.
-const RESULTS: [&str; 9] = [
+/// First words of the names of folders whose images programs have made from photographs.
+const RESULTS: [&str; 17] = [
     "annotation",
-    "blur",
-    "conf",
+    "annotations",
+    "blurred",
+    "confidence",
     "depth",
-    "label",
+    "depthmaps",
+    "depths",
+    "labels",
     "mask",
+    "masks",
     "normal",
+    "normals",
     "seg",
-    "thumb",
+    "segmentation",
+    "segmentations",
+    "thumbnails",
+    "thumbs",
 ];
 
 /// Folder to which the image names of a model are relative. Dereferences to its path.
@@ -74,8 +81,8 @@ pub struct ImageFolder {
     path: PathBuf,
     /// The path is neither given by the user or the model nor one of the usual places.
     pub is_searched: bool,
-    /// Another folder whose images have the same names, and may as well be meant.
-    pub rival: Option<PathBuf>,
+    /// Other folders whose images have the same names, and may as well be meant.
+    pub rivals: Vec<PathBuf>,
     /// The images that are not there under their names. Known once the model is read.
     others: Arc<OnceLock<Others>>,
     /// The masks that the model names, by the names of their images. Known once the model is read.
@@ -87,7 +94,7 @@ impl ImageFolder {
         Self {
             path: path.into(),
             is_searched: false,
-            rival: None,
+            rivals: Vec::new(),
             others: Arc::default(),
             masks: Arc::default(),
         }
@@ -186,10 +193,8 @@ impl ImageFolder {
         let spelled = take_names_of_files(model, Some(&self.path));
         self.others.get_or_init(|| {
             let names = model.images.iter().map(|image| &*image.name);
-            let is_missing = |name: &&str| {
-                let is_raw = mistaken::raw_picture(Path::new(name)).is_some();
-                is_raw || spelled.contains_key(*name) || !self.path.join(name).exists()
-            };
+            let is_missing =
+                |name: &&str| spelled.contains_key(*name) || !self.path.join(name).exists();
             let (missing, there): (Vec<&str>, Vec<&str>) = names.partition(is_missing);
             let path = |name| spelled.get(name).map_or(name, String::as_str);
             let missing: Vec<(&str, &str)> =
@@ -315,10 +320,11 @@ pub(super) struct SoughtImages<'a> {
     pub sizes: Box<dyn Fn() -> HashSet<[u32; 2]> + 'a>,
 }
 
-/// Finds the image folder: the first usual place that holds one of the `names`; else, of the usual
-/// places and the folders below the project, the one that holds most of them, under their names if
-/// any is, else spelled otherwise, and of several the one that [`Look`] prefers; else a reduced copy; else the usual place that exists, where the
-/// user should put them. `named`: the folder that the model names.
+/// Finds the image folder: the first usual place that holds one of the `names`, if it holds most and
+/// has pictures of the cameras' size; else, of the usual places and the folders below the project,
+/// the one that holds most of them, under their names if any is, else spelled otherwise, and of
+/// several the one with the best [`Look`]; else a reduced copy; else the usual place that exists,
+/// where the user should put them. `named`: the folder that the model names.
 pub(super) fn find(
     root: &Path,
     model: &Path,
@@ -328,14 +334,29 @@ pub(super) fn find(
     let names = &sought.names;
     let usual: Vec<PathBuf> = named.into_iter().chain(usual(root, model)).collect();
     let holds_one = |folder: &&PathBuf| names.iter().any(|name| folder.join(name).is_file());
-    if let Some(folder) = usual.iter().find(holds_one) {
+    let holds_most = |folder: &&PathBuf| {
+        let there = names.iter().filter(|name| folder.join(name).is_file());
+        there.count() * 4 >= names.len() * 3
+    };
+    // One that holds reduced or other pictures may not be the one that is meant.
+    let sizes = (sought.sizes)();
+    let may_be_meant = |folder: &&PathBuf| {
+        let mut files = names.iter().map(|name| folder.join(name));
+        let header = files.find_map(|file| kind_by_header(&file));
+        sizes.is_empty() || header.is_some_and(|(size, _)| sizes.contains(&size))
+    };
+    let first = usual.iter().find(holds_one);
+    if let Some(folder) = first.filter(|folder| holds_most(folder) && may_be_meant(folder)) {
         return Some(ImageFolder::new(folder));
     }
-    let found = searched(root, model, &usual, sought).or_else(|| {
-        let is_own = |folder: &Path| folder == root || model.starts_with(folder);
-        let own = usual.iter().find(|folder| !is_own(folder));
-        own.map(ImageFolder::new)
-    })?;
+    let searched = searched(root, model, &usual, sought);
+    let found = searched
+        .or_else(|| first.map(ImageFolder::new))
+        .or_else(|| {
+            let is_own = |folder: &Path| folder == root || model.starts_with(folder);
+            let own = usual.iter().find(|folder| !is_own(folder));
+            own.map(ImageFolder::new)
+        })?;
     Some(ImageFolder {
         is_searched: !usual.contains(&found.path),
         ..found
@@ -411,20 +432,20 @@ fn holding_most(folders: &[PathBuf], sought: &SoughtImages, search: &Names) -> O
         _ => best.1,
     };
     let sizes = (sought.sizes)();
-    let looked_at = rivals
-        .into_iter()
-        .map(|folder| (Look::of(folder, sought, &sizes, search), folder));
-    let mut looks: Vec<(Look, &PathBuf)> = looked_at.collect();
-    looks.sort_by_key(|(look, _)| Reverse(*look));
-    let rival = looks[1..].iter().find(|(look, _)| *look == looks[0].0);
+    let looks = Look::of_all(&rivals, sought, &sizes, search);
+    let mut by_look: Vec<(Look, &PathBuf)> = looks.into_iter().zip(rivals).collect();
+    by_look.sort_by_key(|(look, _)| Reverse(*look));
+    let (best, folder) = by_look[0];
+    let others = by_look[1..].iter();
+    let rivals = others.filter(|(look, _)| look.may_be_meant() == best.may_be_meant());
     Some(ImageFolder {
-        rival: rival.map(|(_, folder)| folder.to_path_buf()),
-        ..ImageFolder::new(looks[0].1)
+        rivals: rivals.map(|(_, folder)| folder.to_path_buf()).collect(),
+        ..ImageFolder::new(folder)
     })
 }
 
-/// How much the first image in a folder looks like the photograph that a name means, rather than a
-/// reduced copy, its mask, its depths or another result, in order of significance.
+/// How much an image in a folder looks like the photograph that a name means, rather than a reduced
+/// copy, its mask, its depths or another result, in order of significance.
 #[derive(Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord)]
 struct Look {
     has_size_of_camera: bool,
@@ -434,20 +455,41 @@ struct Look {
 }
 
 impl Look {
-    fn of(folder: &Path, sought: &SoughtImages, sizes: &HashSet<[u32; 2]>, search: &Names) -> Self {
-        let name = last(folder.to_str().unwrap_or_default()).to_lowercase();
-        let is_named_as_source = !RESULTS.iter().any(|word| name.starts_with(word));
-        let mut located = sought.names.iter();
-        let file = located.find_map(|name| search.locate(folder, name));
-        let header = file.and_then(|file| kind_by_header(&folder.join(file)));
-        let (size, is_coloured) = header.unwrap_or_default();
-        Self {
+    /// Looks at the first image that can be read in all folders; without one only names tell.
+    fn of_all(
+        folders: &[&PathBuf],
+        sought: &SoughtImages,
+        sizes: &HashSet<[u32; 2]>,
+        search: &Names,
+    ) -> Vec<Self> {
+        let header = |folder: &PathBuf, name: &str| {
+            kind_by_header(&folder.join(search.locate(folder, name)?))
+        };
+        let of_name = |name: &String| -> Option<Vec<([u32; 2], bool)>> {
+            folders.iter().map(|folder| header(folder, name)).collect()
+        };
+        let headers = sought.names.iter().find_map(of_name);
+        let headers = headers.unwrap_or_else(|| vec![Default::default(); folders.len()]);
+        let look = |(folder, (size, is_coloured)): (&&PathBuf, ([u32; 2], bool))| Self {
             has_size_of_camera: sizes.contains(&size),
-            is_named_as_source,
+            is_named_as_source: !is_named_as_result(folder),
             is_coloured,
             pixels: u64::from(size[0]) * u64::from(size[1]),
-        }
+        };
+        folders.iter().zip(headers).map(look).collect()
     }
+
+    /// What must be the same of two folders for either to be meant: photographs may be grey.
+    fn may_be_meant(self) -> (bool, bool) {
+        (self.has_size_of_camera, self.is_named_as_source)
+    }
+}
+
+/// Returns whether the first word of a folder's name is that of results.
+fn is_named_as_result(folder: &Path) -> bool {
+    let name = last(folder.to_str().unwrap_or_default()).to_lowercase();
+    let mut words = name.split(|c: char| !c.is_alphabetic());
+    words.next().is_some_and(|word| RESULTS.contains(&word))
 }
 
 /// The folders below the project that may hold its images, itself first.
@@ -524,7 +566,8 @@ pub(super) mod tests {
         let two = ["a.jpg", "b.jpg"];
         assert_eq!(
             found(&["images/a.jpg", "photos/b.jpg"], &two),
-            Some(("images".into(), false))
+            Some(("".into(), false)),
+            "in two folders"
         );
         assert_eq!(
             found(&["photos/a.jpg", "photos/b.jpg"], &two),

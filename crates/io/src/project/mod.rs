@@ -34,7 +34,8 @@ pub use folder::{ImageFolder, MASKS};
 pub use image_files::{images_below, is_image, slashes};
 pub use images::{ImageFaults, Turned};
 pub use originals::Originals;
-pub use probe::{Unread, probe};
+pub use probe::{Unread, is_raw, probe};
+pub use test_lists::TEST_LISTS;
 
 use crate::{
     depthmaps,
@@ -381,13 +382,16 @@ impl Project {
         let scene = self.scene_of_files();
         let mut scene = scene.map_err(|error| error.explained(&self.named))?;
         if scene.tests.is_empty() {
-            scene.tests = self.listed_tests(&scene);
+            let (tests, warning) = test_lists::listed_tests(&self.root, &self.model, &scene);
+            scene.tests = tests;
+            scene.warnings.extend(warning);
         }
         let others = self.sub_model_warning(scene.views.len());
         scene
             .warnings
             .extend(others.map(|text| ModelWarning::new(WarningKind::OtherModels, text)));
         scene.warnings.extend(self.other_workspace_warning());
+        scene.warnings.extend(self.rivals_warning());
         scene
             .warnings
             .extend(self.originals.iter().map(|originals| {
@@ -614,6 +618,22 @@ impl Project {
         Some(ModelWarning::new(WarningKind::Format, text).with_cure(cure))
     }
 
+    /// Names the other folders that the images of the model may be in.
+    fn rivals_warning(&self) -> Option<ModelWarning> {
+        let images = self
+            .images
+            .as_ref()
+            .filter(|images| !images.rivals.is_empty())?;
+        let rivals = images.rivals.iter().take(NAMED);
+        let rivals: Vec<String> = rivals.map(|rival| shown_path(rival)).collect();
+        let text = format!(
+            "of several folders whose images have the names of the model {} is taken, not {} (--images names another)",
+            shown_path(images),
+            rivals.join(" or ")
+        );
+        Some(ModelWarning::new(WarningKind::Format, text))
+    }
+
     /// Names the other dense workspaces beside the one that is used.
     pub fn other_workspaces(&self) -> Option<String> {
         let used = self.dense_workspace.as_ref()?;
@@ -635,8 +655,10 @@ impl Project {
         others.extend((more > 0).then(|| format!("{more} more")));
         (!others.is_empty() && !self.model_is_named).then(|| {
             let (used, others) = (self.model_path(), others.join(" or "));
-            // A folder holds one plan.
-            let next = self.other_models.iter().find(|model| model.path.is_dir());
+            // A folder holds one plan. That of a model in `sparse` has the images of the project.
+            let sparse = self.root.join("sparse");
+            let mut others_there = self.other_models.iter();
+            let next = others_there.find(|model| model.path.parent() == Some(&sparse));
             let how = next.map_or("--model names another".into(), |next| {
                 format!(
                     "plan another by itself: viewrank plan {}",
@@ -676,11 +698,14 @@ fn ends_of(name: &str) -> impl Iterator<Item = &str> {
 const NAMED: usize = 5;
 
 fn model_files(root: &Path, model: &ModelLocation) -> Vec<PathBuf> {
-    if model.format.is_colmap() {
+    let mut files = if model.format.is_colmap() {
         files::all(model)
     } else {
         foreign::files(root, model)
-    }
+    };
+    let lists = test_lists::test_lists(root, model).into_iter();
+    files.extend(lists.filter(|list| list.is_file()));
+    files
 }
 
 fn stamps(root: &Path, model: &ModelLocation) -> Vec<FileStamp> {

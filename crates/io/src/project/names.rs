@@ -21,7 +21,7 @@ use crate::{
         foreign::{is_of_windows, last_parts},
         name_parts,
     },
-    mistaken, paths,
+    paths,
 };
 
 /// Names of the folder of images of which programs make reduced copies.
@@ -73,16 +73,9 @@ impl Names {
     /// else the only one that fits.
     pub fn locate(&self, folder: &Path, name: &str) -> Option<String> {
         let parts = name_parts(below_drive(name))?;
-        let is_there = folder.join(name).is_file();
-        if is_there && mistaken::raw_picture(Path::new(name)).is_none() {
+        if folder.join(name).is_file() {
             return Some(name.to_owned());
         }
-        let located = self.locate_other(folder, &parts);
-        located.or_else(|| is_there.then(|| name.to_owned()))
-    }
-
-    /// The only file that fits a name of these parts, of a raw picture the developed one.
-    fn locate_other(&self, folder: &Path, parts: &[&str]) -> Option<String> {
         let (file, folders) = parts.split_last()?;
         let (mut at, mut path) = (folder.to_path_buf(), String::new());
         for part in folders {
@@ -94,8 +87,7 @@ impl Names {
             path += &there;
             path.push('/');
         }
-        let is_raw = mistaken::raw_picture(Path::new(file)).is_some();
-        let file = if !is_raw && at.join(file).is_file() {
+        let file = if at.join(file).is_file() {
             (*file).to_owned()
         } else {
             self.listing(&at).only_image(file)?

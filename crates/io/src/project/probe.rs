@@ -27,8 +27,8 @@ pub enum Unread {
 /// formats that cannot be checked.
 pub fn probe(path: &Path) -> Result<Option<[u32; 2]>, Unread> {
     let (file, length) = open(path)?;
-    if let Some(raw) = mistaken::raw_picture(path) {
-        return Err(Unread::Broken(raw.what));
+    if is_raw(path) {
+        return Ok(None);
     }
     let mut file = BufReader::with_capacity(TAIL as usize, file);
     let can_be_checked = ImageFormat::from_path(path).is_ok_and(|format| format.reading_enabled());
@@ -48,6 +48,18 @@ pub fn probe(path: &Path) -> Result<Option<[u32; 2]>, Unread> {
         }
         found => Ok(found),
     }
+}
+
+/// Extensions of the raw pictures of cameras, in lower case. Most are TIFFs of a small picture.
+const RAW: [&str; 12] = [
+    "3fr", "arw", "cr2", "cr3", "dng", "iiq", "nef", "orf", "pef", "raf", "rw2", "srw",
+];
+
+/// Returns whether a file is a raw picture of a camera by its name. Some programs read these,
+/// viewrank does not.
+pub fn is_raw(path: &Path) -> bool {
+    let extension = path.extension().and_then(|extension| extension.to_str());
+    extension.is_some_and(|extension| RAW.contains(&&*extension.to_ascii_lowercase()))
 }
 
 /// Opens a file that isn't empty; returns it and its length.
@@ -82,8 +94,8 @@ const PNG_SIGNATURE: &[u8] = b"\x89PNG\r\n\x1a\n";
 const PNG_END: &[u8] = b"\0\0\0\0IEND";
 
 /// Returns whether a JPEG or PNG file lacks the mark of its end, or a TIFF ends before its pixels;
-/// other bytes may follow. JPEG's mark cannot occur by chance in scan data (ITU T.81, B.1.1.5), but it can occur before the first scan,
-/// in an embedded thumbnail.
+/// other bytes may follow. JPEG's mark cannot occur by chance in scan data (ITU T.81, B.1.1.5), but
+/// it can occur before the first scan, in an embedded thumbnail.
 fn is_truncated(file: &mut BufReader<File>, length: u64) -> io::Result<bool> {
     file.rewind()?;
     let start = file.fill_buf()?;
@@ -169,14 +181,21 @@ pub(super) fn size_by_header(path: &Path) -> Option<(u32, u32)> {
     picture::size(BufReader::new(input::open(path).ok()?)).map(Into::into)
 }
 
-/// Width and height of an image file by its header, wherever they are in it, and whether it has
-/// colours.
+/// Width and height of an image file by its header, and whether it has colours; `None` if that is
+/// not near its start.
 pub(super) fn kind_by_header(path: &Path) -> Option<([u32; 2], bool)> {
-    let decoder = picture::header(BufReader::new(input::open(path).ok()?)).ok()?;
-    Some((
-        decoder.dimensions().into(),
-        decoder.color_type().has_color(),
-    ))
+    let (mut file, _) = open(path).ok()?;
+    let of_head = |bytes: u64| {
+        let mut head = Vec::new();
+        file.rewind().ok()?;
+        file.by_ref().take(bytes).read_to_end(&mut head).ok()?;
+        let decoder = picture::header(Cursor::new(head)).ok()?;
+        Some((
+            decoder.dimensions().into(),
+            decoder.color_type().has_color(),
+        ))
+    };
+    HEADS.into_iter().find_map(of_head)
 }
 
 #[cfg(test)]

@@ -194,7 +194,8 @@ impl FoundCells {
         if *self.cells.entry(cube).or_insert(new) == new {
             self.centres.push(*point);
         }
-        if self.centres.len() > self.most {
+        // One more would double the table.
+        if self.centres.len() == self.most {
             self.halve();
         }
     }

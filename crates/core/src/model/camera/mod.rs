@@ -302,13 +302,16 @@ impl Camera {
         (width * own_height / (height * own_width) - 1.0).abs() <= rounding.min(LARGEST_ROUNDING)
     }
 
-    /// The camera as PINHOLE if its model is that with distortion and the distortion is zero, as in
-    /// models of images that a program has undistorted; many backends take pinhole cameras only.
+    /// The camera as PINHOLE if its model is that with distortion and the distortion is zero but for
+    /// rounding, as in models of images that a program has undistorted; many backends take pinhole
+    /// cameras only.
     pub fn without_zero_distortion(self) -> Self {
         use CameraModel::{
             Division, Eucm, Fov, FullOpenCv, OpenCv, Pinhole, Radial, SimpleDivision, SimpleRadial,
         };
-        let are_zero = |parameters: &[f64]| parameters.iter().all(|&p| p == 0.0);
+        // It moves no ray that an image shows by a millionth of a pixel.
+        let is_zero = |parameter: &f64| parameter.abs() < 1e-12;
+        let are_zero = |parameters: &[f64]| parameters.iter().all(is_zero);
         let params = match (self.model, &self.params[..]) {
             (SimpleRadial | Radial | SimpleDivision, &[f, cx, cy, ref k @ ..]) if are_zero(k) => {
                 vec![f, f, cx, cy]
@@ -319,7 +322,7 @@ impl Camera {
                 vec![fx, fy, cx, cy]
             }
             // Without alpha, beta has no effect.
-            (Eucm, [intrinsics @ .., alpha, _]) if *alpha == 0.0 => intrinsics.to_vec(),
+            (Eucm, [intrinsics @ .., alpha, _]) if is_zero(alpha) => intrinsics.to_vec(),
             _ => return self,
         };
         Self {

@@ -64,9 +64,14 @@ fn largest_chunk(bytes: &[u8]) -> Result<(Chunk, Vec<(String, usize)>), Fault> {
     let mut largest = Chunk::default();
     let mut others = Vec::new();
     while let Some(entered) = xml.enter()? {
-        if entered.name != "chunk" {
-            xml.skip()?;
-            continue;
+        match &*entered.name {
+            "chunk" => {}
+            // Its chunks come next.
+            "chunks" => continue,
+            _ => {
+                xml.skip()?;
+                continue;
+            }
         }
         let mut chunk = Chunk::read(&entered, &mut xml)?;
         if chunk.rank() > largest.rank() {
