@@ -56,6 +56,16 @@ impl<T> Column<T> {
         }
     }
 
+    /// Returns the rows to be changed, if they are in memory and nobody shares them; else the column.
+    pub fn into_rows(self) -> Result<Vec<T>, Self> {
+        match self.0 {
+            Backing::Memory(rows) => {
+                Arc::try_unwrap(rows).map_err(|rows| Self(Backing::Memory(rows)))
+            }
+            on_disk @ Backing::Disk(_) => Err(Self(on_disk)),
+        }
+    }
+
     /// Releases the resident pages of a column on disk; they are read again on the next access.
     pub fn release(&self) {
         #[cfg(unix)]

@@ -129,22 +129,44 @@ impl Visibility {
 
     /// Returns the table for the surface without the triangles where `keep` is false, renumbered as
     /// by [`Surface::keep`].
-    pub fn keep(&self, keep: &[bool]) -> Result<Self, DiskError> {
+    pub fn keep(self, keep: &[bool]) -> Result<Self, DiskError> {
         let numbers = numbers(keep);
+        let rows = self.offsets;
         let mut offsets = Offsets::default();
-        let mut triangles = ColumnBuilder::new(self.triangles.storage())?;
-        for view in 0..self.offsets.rows() {
-            if view.is_multiple_of(column::READ_AT_ONCE) {
-                self.triangles.release();
+        let triangles = match self.triangles.into_rows() {
+            // In place: the table is the largest of a plan.
+            Ok(mut triangles) => {
+                let mut end = 0;
+                for view in 0..rows.rows() {
+                    let start = end;
+                    for row in rows.row(view) {
+                        if let Some(number) = numbers[triangles[row] as usize] {
+                            triangles[end] = number;
+                            end += 1;
+                        }
+                    }
+                    offsets.push(end - start);
+                }
+                triangles.truncate(end);
+                triangles.into()
             }
-            let view = self.triangles[self.offsets.row(view)].iter();
-            let view: Vec<u32> = view.filter_map(|&t| numbers[t as usize]).collect();
-            triangles.extend(&view)?;
-            offsets.push(view.len());
-        }
+            Err(shared) => {
+                let mut triangles = ColumnBuilder::new(shared.storage())?;
+                for view in 0..rows.rows() {
+                    if view.is_multiple_of(column::READ_AT_ONCE) {
+                        shared.release();
+                    }
+                    let view = shared[rows.row(view)].iter();
+                    let view: Vec<u32> = view.filter_map(|&t| numbers[t as usize]).collect();
+                    triangles.extend(&view)?;
+                    offsets.push(view.len());
+                }
+                triangles.finish()?
+            }
+        };
         Ok(Self {
             offsets,
-            triangles: triangles.finish()?,
+            triangles,
             contradictions: self.contradictions,
         })
     }
