@@ -34,11 +34,16 @@ refuse_no_files() {
     } | head -n 1)
     [ "$found" = none ] || refuse "$found"
 }
-# Gives files that have other names, which may be somebody else's, a file of their own, before a program writes into what is there: PATH...
+# Gives files that have other names, which may be somebody else's, a file of their own, before a program writes into what is there: PATH... A list of
+# lines would make two files of one with a line break in its name, which a script's own folder may have.
 own_files() {
-    find "$@" -type f -links +1 2>/dev/null | while IFS= read -r file; do
-        own=$(tried mktemp "${file%/*}/XXXXXX") && tried cp -p "$file" "$own" && tried mv -f "$own" "$file" || exit 1
-    done || exit 1
+    find "$@" -type f -links +1 -exec sh -c '
+        for file; do
+            own=$(mktemp "${file%/*}/XXXXXX") && cp -p "$file" "$own" && mv -f "$own" "$file" || exit 1
+        done' sh '{}' + 2>/dev/null || {
+        say "error: failed: copies of the files in $* that have other names, which may be somebody else's" >&2
+        exit 1
+    }
 }
 # Records in done/, for scripts and viewrank run, what a depth map is made from: NAME LINE
 mark() {

@@ -193,6 +193,18 @@ def test_nothing_outside_the_export_changes(case, viewrank, plans, tmp_path):  #
                 assert done.returncode != 0 and "error:" in done.stderr, f"{put.__name__} at {name}: {done.stdout}{done.stderr}"
                 refused += 1
     assert refused > (14 if case == "pmvs" else 19)
+    # Where names are not looked at, the second line of one may be the path of a file outside.
+    remove(place.folder)
+    shutil.copytree(finished, place.folder, symlinks=True)
+    canary = place.outside / "canary"
+    canary.symlink_to("profile")
+    named = place.folder / f"unfinished/x\n{canary}"
+    named.parent.mkdir(parents=True)
+    named.write_text("a")
+    os.link(named, place.folder / "unfinished/second")
+    (place.folder / "unfinished/x").write_text("a")
+    place.run()
+    assert canary.is_symlink()
     if case.startswith("colmap"):
         return
     for name in (b"\xff", b"a\nb", "\x1b]0;owned\x07".encode(), b"\\033[2J"):

@@ -1,7 +1,7 @@
 //! Opens image files with bounds: on pixels before any is decoded, and on what a header may hold.
 
 use std::{
-    io::{self, BufRead, Cursor, Read, Seek},
+    io::{self, BufRead, Cursor, Read, Seek, SeekFrom},
     sync::{Mutex, MutexGuard, PoisonError},
 };
 
@@ -45,15 +45,68 @@ pub fn format(bytes: &[u8]) -> Option<ImageFormat> {
     }
 }
 
-fn reader<R: BufRead + Seek>(mut file: R) -> io::Result<ImageReader<R>> {
-    let is_big_tiff = format(file.fill_buf()?) == Some(ImageFormat::Tiff);
-    let reader = ImageReader::new(file);
-    if is_big_tiff {
-        let mut reader = reader;
-        reader.set_format(ImageFormat::Tiff);
-        return Ok(reader);
+/// Most strips or tiles of a TIFF: tiles of 16 by 16 pixels of a picture of 200 megapixels. Its
+/// decoder holds 50 bytes for each before it looks at any.
+const MOST_STRIPS: u64 = 1 << 20;
+/// Tags of TIFF 6.0 whose lists have an entry for each strip or tile.
+const OF_STRIPS: [u16; 4] = [273, 279, 324, 325];
+
+/// Refuses a TIFF that takes much memory before any pixel is decoded.
+pub fn refuse_many_strips(file: &mut (impl Read + Seek)) -> io::Result<()> {
+    if strips(file)? > MOST_STRIPS {
+        return Err(io::Error::other("a TIFF of millions of strips or tiles"));
     }
-    reader.with_guessed_format()
+    Ok(())
+}
+
+/// The number of strips or tiles of the first picture in a TIFF, without reading their places.
+fn strips(file: &mut (impl Read + Seek)) -> io::Result<u64> {
+    let mut head = [0; 16];
+    file.rewind()?;
+    file.read_exact(&mut head)?;
+    let number = |bytes: &[u8]| {
+        let big_endian = bytes
+            .iter()
+            .fold(0, |sum, &byte| sum << 8 | u64::from(byte));
+        let swapped = bytes.iter().rev();
+        let little_endian = swapped.fold(0, |sum, &byte| sum << 8 | u64::from(byte));
+        if head[0] == b'M' {
+            big_endian
+        } else {
+            little_endian
+        }
+    };
+    let is_big = number(&head[2..4]) == 43;
+    let (start, of_count, of_entry) = if is_big {
+        (number(&head[8..16]), 8, 20)
+    } else {
+        (number(&head[4..8]), 2, 12)
+    };
+    file.seek(SeekFrom::Start(start))?;
+    let mut count = vec![0; of_count];
+    file.read_exact(&mut count)?;
+    let mut most = 0;
+    for _ in 0..number(&count).min(MOST_TAGS) {
+        let mut entry = vec![0; of_entry];
+        file.read_exact(&mut entry)?;
+        if OF_STRIPS.contains(&(number(&entry[..2]) as u16)) {
+            let length = if is_big { &entry[4..12] } else { &entry[4..8] };
+            most = number(length).max(most);
+        }
+    }
+    Ok(most)
+}
+
+/// Most tags that are looked at, which are in ascending order.
+const MOST_TAGS: u64 = 1 << 12;
+
+fn reader<R: BufRead + Seek>(mut file: R) -> io::Result<ImageReader<R>> {
+    if format(file.fill_buf()?) != Some(ImageFormat::Tiff) {
+        return ImageReader::new(file).with_guessed_format();
+    }
+    refuse_many_strips(&mut file)?;
+    file.rewind()?;
+    Ok(ImageReader::with_format(file, ImageFormat::Tiff))
 }
 
 /// The bytes of a picture, of whose parts none is costly.
@@ -152,7 +205,9 @@ pub fn is_tiff_of_jpegs(tiff: &mut Decoder<impl Read + Seek>) -> TiffResult<bool
 }
 
 /// Where the last strip or tile of a TIFF's first picture ends, bytes; `None` of what is no TIFF.
-pub fn end_of_tiff(file: impl Read + Seek) -> Option<u64> {
+pub fn end_of_tiff(mut file: impl Read + Seek) -> Option<u64> {
+    refuse_many_strips(&mut file).ok()?;
+    file.rewind().ok()?;
     let mut tiff = Decoder::new(file).ok()?;
     let mut list = |tag| tiff.get_tag_u64_vec(tag).ok();
     let [offsets, lengths] = match list(Tag::StripOffsets) {
@@ -165,10 +220,12 @@ pub fn end_of_tiff(file: impl Read + Seek) -> Option<u64> {
 }
 
 fn refuse_tiff_of_jpegs(bytes: &[u8]) -> ImageResult<()> {
-    if format(bytes) != Some(ImageFormat::Tiff)
-        || !Decoder::new(Cursor::new(bytes))
-            .is_ok_and(|mut tiff| is_tiff_of_jpegs(&mut tiff).unwrap_or(true))
-    {
+    if format(bytes) != Some(ImageFormat::Tiff) {
+        return Ok(());
+    }
+    refuse_many_strips(&mut Cursor::new(bytes)).map_err(ImageError::IoError)?;
+    let tiff = Decoder::new(Cursor::new(bytes));
+    if !tiff.is_ok_and(|mut tiff| is_tiff_of_jpegs(&mut tiff).unwrap_or(true)) {
         return Ok(());
     }
     let kind = UnsupportedErrorKind::GenericFeature(TIFF_OF_JPEGS.into());

@@ -528,10 +528,15 @@ fn or_sgm() -> &'static str {
 impl Hint for DispatchError {
     fn hint(&self) -> Option<Advice> {
         Some(match self {
-            Self::NoTasks { project, backend } => format!(
-                "run what `viewrank plan {} --backend {backend}` prints, or take --backend sgm, openmvs, colmap or mve",
-                command_path(project)
-            )
+            Self::NoTasks { project, backend } => {
+                let with_tasks = BACKENDS.iter().filter(|backend| backend.tasks.is_some());
+                let names: Vec<&str> = with_tasks.map(|backend| backend.name).collect();
+                format!(
+                    "run what `viewrank plan {} --backend {backend}` prints, or take one of --backend {}",
+                    command_path(project),
+                    names.join(", ")
+                )
+            }
             .into(),
             Self::Program { program, .. } if program.is_dir() => {
                 "it is a folder: name the program in it".into()

@@ -213,6 +213,8 @@ fn decoded(
     let broken = |error: tiff::TiffError| fault(error.to_string());
     let bytes = beside(name).map_err(|error| fault(error.to_string()))?;
     let length = bytes.len() as u64;
+    picture::refuse_many_strips(&mut Cursor::new(&bytes))
+        .map_err(|error| fault(error.to_string()))?;
     let mut decoder = Decoder::new(Cursor::new(bytes)).map_err(broken)?;
     let (width, height) = decoder.dimensions().map_err(broken)?;
     if [width, height] != size {

@@ -426,3 +426,32 @@ fn a_tiff_with_the_mark_of_long_files_is_one() {
     assert_eq!((grey.pixels, full), (vec![7; 8], [4, 2]));
     assert_eq!(picture::size(Cursor::new(&bytes)), Some([4, 2]));
 }
+
+#[test]
+fn a_tiff_of_millions_of_strips_is_refused_before_their_places_are_read() {
+    let strips = 2_000_000u32;
+    for first in [273u16, 324] {
+        let tags = [
+            (256, 3u16, 1, 1u32),
+            (257, 3, 1, 60_000),
+            (258, 3, 1, 8),
+            (262, 3, 1, 1),
+            (first, 4, strips, 200),
+            (first + 1, 4, strips, 200),
+        ];
+        let mut bytes = b"II*\0\x08\0\0\0".to_vec();
+        bytes.extend((tags.len() as u16).to_le_bytes());
+        for (tag, kind, count, value) in tags {
+            bytes.extend(tag.to_le_bytes());
+            bytes.extend(kind.to_le_bytes());
+            bytes.extend(count.to_le_bytes());
+            bytes.extend(value.to_le_bytes());
+        }
+        bytes.resize(200 + 4 * strips as usize, 0);
+        let refused = Image::decode_grey(&bytes, PixelBound::LARGEST, |full| full);
+        let refused = refused.err().expect("too many strips").to_string();
+        assert!(refused.contains("millions of strips"), "{refused}");
+        assert_eq!(picture::size(Cursor::new(&bytes)), None);
+        assert_eq!(picture::end_of_tiff(Cursor::new(&bytes)), None);
+    }
+}
