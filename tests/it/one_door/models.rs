@@ -325,6 +325,10 @@ fn of_projects_in_folders_of_their_own_none_is_taken() {
         stderr.contains("several folders") && stderr.contains("east"),
         "{stderr}"
     );
+    folder.pictures(&scene(), |name| format!("images/{name}"));
+    let (_, _, stderr) = folder.plan(&[]);
+    let images = format!("--images {}", folder.at("images").display());
+    assert!(stderr.contains(&images), "{stderr}");
 }
 
 /// Models of VisualSFM with so many cameras each.

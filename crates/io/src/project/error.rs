@@ -121,11 +121,17 @@ impl Hint for ProjectError {
                     .into()
             }
             Self::NoModel { .. } => "name a folder that contains `sparse`, or the folder of the model itself".into(),
-            Self::SeveralProjects { below, .. } => {
+            Self::SeveralProjects { path, below } => {
                 let named = below.iter().take(3).map(|folder| command_path(folder));
                 let more = if below.len() > 3 { ", ..." } else { "" };
                 let named: Vec<String> = named.collect();
-                format!("name one of them: {}{more}", named.join(", ")).into()
+                let one = Advice::text(format!("name one of them: {}{more}", named.join(", ")));
+                match path.join("images") {
+                    images if images.is_dir() => {
+                        one.and("; where its images are here, with ").set_to("images", command_path(&images))
+                    }
+                    _ => one,
+                }
             }
             Self::IncompleteModel { missing, .. } if missing.starts_with("points3D") => {
                 TO_GIVE_POINTS.into()

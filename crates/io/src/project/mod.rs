@@ -659,13 +659,17 @@ impl Project {
             let sparse = self.root.join("sparse");
             let mut others_there = self.other_models.iter();
             let next = others_there.find(|model| model.path.parent() == Some(&sparse));
-            let how = next.map_or("--model names another".into(), |next| {
-                format!(
-                    "plan another by itself: viewrank plan {}",
+            // What poses another program has is not known yet.
+            let is_read = |model: &ModelLocation| model.registered > 0;
+            let how = match next {
+                Some(next) => format!(
+                    " (plan another by itself: viewrank plan {})",
                     command_path(&next.path)
-                )
-            });
-            format!("the model is {used} ({registered} images), not {others} ({how})")
+                ),
+                None if self.other_models.iter().any(is_read) => " (--model names another)".into(),
+                None => String::new(),
+            };
+            format!("the model is {used} ({registered} images), not {others}{how}")
         })
     }
 }
