@@ -56,7 +56,7 @@ pub use machine::{
 pub use options::{ExportOptions, References};
 pub use record::{Export, ExportRecord, ExportedCluster, ExportedView};
 pub use runner::{Call, Product, TaskProgram, TaskRunner, Tasks};
-pub use selection::{CUT_PANORAMAS, Selection, cure_of_images, of_unread_kind};
+pub use selection::{CUT_PANORAMAS, Selection, cure_of_images, has_panoramas, of_unread_kind};
 pub use semi_global::pair_files;
 pub use strangers::with_refusal;
 pub use tiles::clusters_by_area;

@@ -21,9 +21,15 @@ use crate::{
     },
 };
 
-/// What to do with panoramas, of which no undistorted images can be made.
+/// Advice for panoramas, which cannot be undistorted.
 pub const CUT_PANORAMAS: &str =
     "cut the panoramas into perspective views first, for instance with COLMAP's panorama_sfm.py";
+
+/// Returns whether any view of a scene is a panorama.
+pub fn has_panoramas(scene: &Scene) -> bool {
+    let mut cameras = scene.view_indices().map(|view| scene.camera_of(view));
+    cameras.any(|camera| camera.model() == CameraModel::Equirectangular)
+}
 
 /// The chosen view clusters of a scene.
 #[derive(Clone, Copy, Debug)]
@@ -228,7 +234,7 @@ impl Selection<'_> {
                     command_path(&dense)
                 )
             }
-            None if self.has_panoramas() => CUT_PANORAMAS.into(),
+            None if has_panoramas(self.scene) => CUT_PANORAMAS.into(),
             None => {
                 let (root, model) = (self.project.as_argument(), &self.project.model);
                 let dense = command_path(&self.project.place_of_undistorted());
@@ -260,13 +266,6 @@ impl Selection<'_> {
             ),
             hint,
         })
-    }
-
-    /// Returns whether the scene has panoramas.
-    pub fn has_panoramas(&self) -> bool {
-        let cameras = self.scene.view_indices();
-        let mut models = cameras.map(|view| self.scene.camera_of(view).model());
-        models.any(|model| model == CameraModel::Equirectangular)
     }
 
     /// Returns the level of an image pyramid, each of half the side of the one before, at which
@@ -333,7 +332,7 @@ pub fn is_below(path: &str) -> bool {
     Path::new(path).components().all(is_name)
 }
 
-/// Says what a folder has in place of an image; empty where it has none.
+/// Names an image that the folder has instead; empty if it has none.
 fn others_than(name: &str, folder: &ImageFolder) -> String {
     match folder.first_image() {
         Some(_) if folder.candidates_for(name).is_some() => " by its name".into(),

@@ -271,7 +271,7 @@ fn short_name(name: &str) -> &str {
 
 fn warnings(selection: &Selection, views: &[ViewIndex]) -> Vec<String> {
     let mut warnings = Vec::new();
-    if selection.has_panoramas() {
+    if selection::has_panoramas(selection.scene) {
         warnings.push(format!("these programs take no panoramas: {CUT_PANORAMAS}"));
     } else if views
         .iter()

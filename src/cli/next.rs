@@ -7,7 +7,6 @@ use crate::{
     backends::{self, CUT_PANORAMAS},
     base::shell::{command_path, command_word, one_after_other},
     io::project::Project,
-    model::camera::CameraModel,
     plan::Plan,
     show::files::PlanFiles,
 };
@@ -83,12 +82,12 @@ pub fn next(
             .image_faults
             .is_any_usable(plan.stages.scene.views.len());
     let can_match = || cfg!(unix) && has_images && backend.is_some_and(backends::can_match_here);
-    let cameras = || {
-        let views = plan.stages.scene.view_indices();
-        views.map(|view| plan.stages.scene.camera_of(view))
+    let distorted = || {
+        plan.stages
+            .scene
+            .view_indices()
+            .any(|view| !plan.stages.scene.camera_of(view).is_pinhole())
     };
-    let distorted = || cameras().any(|camera| !camera.is_pinhole());
-    let panoramas = || cameras().any(|camera| camera.model() == CameraModel::Equirectangular);
     match (run.filter(|_| can_match()), &files.next) {
         (Some(run), _) => run,
         (None, Some(next)) => next.clone(),
@@ -101,7 +100,9 @@ pub fn next(
             let plan_of = |dense: &Path| again(&command_path(dense));
             match project.undistorted_workspace() {
                 Some(dense) => plan_of(&dense),
-                None if panoramas() => format!("{CUT_PANORAMAS}, then {}", again(&root)),
+                None if backends::has_panoramas(&plan.stages.scene) => {
+                    format!("{CUT_PANORAMAS}, then {}", again(&root))
+                }
                 None => one_after_other(
                     &format!("viewrank undistort {root}"),
                     &plan_of(&project.place_of_undistorted()),

@@ -36,13 +36,10 @@ const BIG_TIFF: [&[u8]; 2] = [b"II+\0", b"MM\0+"];
 
 /// The format of an image by its first bytes.
 pub fn format(bytes: &[u8]) -> Option<ImageFormat> {
-    let is_big_tiff = BIG_TIFF.iter().any(|start| bytes.starts_with(start));
-    let known = || image::guess_format(bytes).ok();
-    if is_big_tiff {
-        Some(ImageFormat::Tiff)
-    } else {
-        known()
+    if BIG_TIFF.iter().any(|start| bytes.starts_with(start)) {
+        return Some(ImageFormat::Tiff);
     }
+    image::guess_format(bytes).ok()
 }
 
 /// Most strips or tiles of a TIFF: tiles of 16 by 16 pixels of a picture of 200 megapixels. Its
@@ -50,6 +47,9 @@ pub fn format(bytes: &[u8]) -> Option<ImageFormat> {
 const MOST_STRIPS: u64 = 1 << 20;
 /// Tags of TIFF 6.0 whose lists have an entry for each strip or tile.
 const OF_STRIPS: [u16; 4] = [273, 279, 324, 325];
+
+/// Most tags that are looked at, which are in ascending order.
+const MOST_TAGS: u64 = 1 << 12;
 
 /// Refuses a TIFF that takes much memory before any pixel is decoded.
 pub fn refuse_many_strips(file: &mut (impl Read + Seek)) -> io::Result<()> {
@@ -96,9 +96,6 @@ fn strips(file: &mut (impl Read + Seek)) -> io::Result<u64> {
     }
     Ok(most)
 }
-
-/// Most tags that are looked at, which are in ascending order.
-const MOST_TAGS: u64 = 1 << 12;
 
 fn reader<R: BufRead + Seek>(mut file: R) -> io::Result<ImageReader<R>> {
     if format(file.fill_buf()?) != Some(ImageFormat::Tiff) {

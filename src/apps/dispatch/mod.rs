@@ -536,8 +536,8 @@ impl Hint for DispatchError {
                     command_path(project),
                     names.join(", ")
                 )
+                .into()
             }
-            .into(),
             Self::Program { program, .. } if program.is_dir() => {
                 "it is a folder: name the program in it".into()
             }

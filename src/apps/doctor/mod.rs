@@ -12,9 +12,9 @@ mod sense;
 #[cfg(test)]
 mod tests;
 
-pub use model::NO_TRACKS;
 use std::collections::BTreeSet;
 
+pub use model::NO_TRACKS;
 pub use partners::partners_in_words;
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -24,10 +24,7 @@ use crate::{
     base::shell::command_path,
     config::{Settings, UnknownBackend},
     io::project::{ImageFaults, Project},
-    model::{
-        camera::{Camera, CameraModel},
-        scene::{Scene, ViewIndex, ViewPoints},
-    },
+    model::scene::{Scene, ViewIndex, ViewPoints},
     show::manifest::planned_backend,
 };
 
@@ -286,14 +283,12 @@ fn traps(inputs: &Inputs) -> Vec<Finding> {
 fn distorted(inputs: &Inputs) -> Option<Finding> {
     let cameras = inputs.scene.view_indices();
     let cameras = cameras.map(|view| inputs.scene.camera_of(view));
-    let models: Vec<CameraModel> = cameras
-        .filter(|camera| !camera.is_pinhole())
-        .map(Camera::model)
-        .collect();
+    let distorted = cameras.filter(|camera| !camera.is_pinhole());
+    let models: Vec<&str> = distorted.map(|camera| camera.model().name()).collect();
     if models.is_empty() {
         return None;
     }
-    let names: BTreeSet<&str> = models.iter().map(|model| model.name()).collect();
+    let names: BTreeSet<&str> = models.iter().copied().collect();
     let names = names.into_iter().collect::<Vec<_>>().join(" or ");
     let all = inputs.scene.views.len();
     let refuse: Vec<&'static str> = inputs
@@ -308,7 +303,7 @@ fn distorted(inputs: &Inputs) -> Option<Finding> {
     );
     let cure = match inputs.project.undistorted_workspace() {
         Some(dense) => format!("viewrank plan {}", command_path(&dense)),
-        None if models.contains(&CameraModel::Equirectangular) => CUT_PANORAMAS.into(),
+        None if backends::has_panoramas(inputs.scene) => CUT_PANORAMAS.into(),
         None => format!("viewrank undistort {root}, then viewrank plan {own}"),
     };
     let whose = match models.len() {

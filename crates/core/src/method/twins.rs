@@ -33,7 +33,7 @@ const MOST_OCTAVES: i32 = 10;
 const MOST_PAIRS: usize = 1 << 25;
 /// Views around one that are looked at, however many there are.
 const LEAST_NEAR: usize = 1000;
-/// Exponents of the cubes of all numbers.
+/// Largest exponent of the edge of a cube, beyond that of any number.
 const MOST_EXPONENT: f64 = 1100.0;
 
 /// A view that is set aside.

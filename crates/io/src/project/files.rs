@@ -99,10 +99,10 @@ fn camera_sizes(model: &ModelLocation) -> HashSet<[u32; 2]> {
 }
 
 /// What is known of the images of a COLMAP model by reading little of its files.
-pub(super) fn sought_images(model: &ModelLocation) -> SoughtImages<'_> {
+pub(super) fn sought_images(model: &ModelLocation) -> SoughtImages {
     SoughtImages {
         names: first_names(model),
-        sizes: Box::new(|| camera_sizes(model)),
+        sizes: camera_sizes(model),
     }
 }
 

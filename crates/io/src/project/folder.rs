@@ -313,11 +313,18 @@ fn colmap_image_path(folder: &Path) -> Option<String> {
 }
 
 /// What is known of a model's images before they are found.
-pub(super) struct SoughtImages<'a> {
+pub(super) struct SoughtImages {
     /// Names of the first.
     pub names: Vec<String>,
-    /// Width and height of the cameras, which are looked up where several folders have the names.
-    pub sizes: Box<dyn Fn() -> HashSet<[u32; 2]> + 'a>,
+    /// Width and height of the cameras; none where they are unknown.
+    pub sizes: HashSet<[u32; 2]>,
+}
+
+impl SoughtImages {
+    /// Returns whether so many of the names are enough: where more are missing, they are elsewhere.
+    fn are_most(&self, held: usize) -> bool {
+        held * 4 >= self.names.len() * 3
+    }
 }
 
 /// Finds the image folder: the first usual place that holds one of the `names`, if it holds most and
@@ -336,17 +343,16 @@ pub(super) fn find(
     let holds_one = |folder: &&PathBuf| names.iter().any(|name| folder.join(name).is_file());
     let holds_most = |folder: &&PathBuf| {
         let there = names.iter().filter(|name| folder.join(name).is_file());
-        there.count() * 4 >= names.len() * 3
+        sought.are_most(there.count())
     };
     // One that holds reduced or other pictures may not be the one that is meant.
-    let sizes = (sought.sizes)();
-    let may_be_meant = |folder: &&PathBuf| {
+    let has_size_of_camera = |folder: &&PathBuf| {
         let mut files = names.iter().map(|name| folder.join(name));
         let header = files.find_map(|file| kind_by_header(&file));
-        sizes.is_empty() || header.is_some_and(|(size, _)| sizes.contains(&size))
+        sought.sizes.is_empty() || header.is_some_and(|(size, _)| sought.sizes.contains(&size))
     };
     let first = usual.iter().find(holds_one);
-    if let Some(folder) = first.filter(|folder| holds_most(folder) && may_be_meant(folder)) {
+    if let Some(folder) = first.filter(holds_most).filter(has_size_of_camera) {
         return Some(ImageFolder::new(folder));
     }
     let searched = searched(root, model, &usual, sought);
@@ -382,7 +388,7 @@ fn searched(
         .or_else(|| holding_most(&reduced(root, model), sought, &search))?;
     let mut widest = (held_below(&best, names), best.path.clone());
     // One photograph that a folder lacks is not that of another flight: cameras begin to count anew.
-    if widest.0 * 4 >= names.len() * 3 {
+    if sought.are_most(widest.0) {
         return Some(best);
     }
     let above = best.path.ancestors().skip(1);
@@ -431,8 +437,7 @@ fn holding_most(folders: &[PathBuf], sought: &SoughtImages, search: &Names) -> O
         [only] => return Some(ImageFolder::new(only)),
         _ => best.1,
     };
-    let sizes = (sought.sizes)();
-    let looks = Look::of_all(&rivals, sought, &sizes, search);
+    let looks = Look::of_all(&rivals, sought, search);
     let mut by_look: Vec<(Look, &PathBuf)> = looks.into_iter().zip(rivals).collect();
     by_look.sort_by_key(|(look, _)| Reverse(*look));
     let (best, folder) = by_look[0];
@@ -456,12 +461,7 @@ struct Look {
 
 impl Look {
     /// Looks at the first image that can be read in all folders; without one only names tell.
-    fn of_all(
-        folders: &[&PathBuf],
-        sought: &SoughtImages,
-        sizes: &HashSet<[u32; 2]>,
-        search: &Names,
-    ) -> Vec<Self> {
+    fn of_all(folders: &[&PathBuf], sought: &SoughtImages, search: &Names) -> Vec<Self> {
         let header = |folder: &PathBuf, name: &str| {
             kind_by_header(&folder.join(search.locate(folder, name)?))
         };
@@ -471,7 +471,7 @@ impl Look {
         let headers = sought.names.iter().find_map(of_name);
         let headers = headers.unwrap_or_else(|| vec![Default::default(); folders.len()]);
         let look = |(folder, (size, is_coloured)): (&&PathBuf, ([u32; 2], bool))| Self {
-            has_size_of_camera: sizes.contains(&size),
+            has_size_of_camera: sought.sizes.contains(&size),
             is_named_as_source: !is_named_as_result(folder),
             is_coloured,
             pixels: u64::from(size[0]) * u64::from(size[1]),
@@ -552,7 +552,7 @@ pub(super) mod tests {
         let names: Vec<String> = names.iter().map(|name| (*name).to_owned()).collect();
         let sought = SoughtImages {
             names,
-            sizes: Box::new(HashSet::new),
+            sizes: HashSet::new(),
         };
         let found = find(root, &root.join("sparse/0"), None, &sought)?;
         Some((

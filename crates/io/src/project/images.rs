@@ -50,11 +50,8 @@ pub(super) fn find_by_names(
         .map(|image| image.name.to_string())
         .collect();
     let cameras = foreign.model.cameras.iter();
-    let sizes: HashSet<[u32; 2]> = cameras.map(|c| [c.width, c.height]).collect();
-    let sought = SoughtImages {
-        names,
-        sizes: Box::new(|| sizes.clone()),
-    };
+    let sizes = cameras.map(|c| [c.width, c.height]).collect();
+    let sought = SoughtImages { names, sizes };
     // The folder of the model alone says nothing.
     folder::find(root, model, named, &sought)
         .filter(|found| found.ends_with("images") || folder::holds_any(found, &sought.names))
