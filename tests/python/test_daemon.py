@@ -49,6 +49,12 @@ class Daemon:
         self.process.send_signal(signal.SIGTERM)
         self.process.wait(timeout=60)
 
+    def remove(self, folder):
+        """Removes a folder in which the daemon may write a file between the listing and the removal."""
+        folder = self.root / folder
+        while folder.exists():
+            shutil.rmtree(folder, ignore_errors=True)
+
     def said(self, project, word):
         """Returns how often the log has this word for the project."""
         records = (json.loads(line)["fields"] for line in self.log.read_text().splitlines())
@@ -222,7 +228,7 @@ def test_a_folder_that_goes_while_it_is_planned_is_forgotten_and_found_again(sou
     cp(large_source, root / "p")
     with Daemon(root, config, settle="100ms") as daemon:
         daemon.wait(lambda: daemon.said("p", "planning"), "the plan to begin")
-        shutil.rmtree(root / "p")
+        daemon.remove("p")
         daemon.wait(lambda: daemon.said("p", "gone"), "it to be missed")
         assert not (root / "p").exists()
         cp(source, root / "p")
@@ -402,7 +408,7 @@ def test_a_map_that_is_cut_off_is_named_and_the_others_are_measured_until_all_ar
         first.write_bytes(first.read_bytes()[:1000])
         daemon.wait(lambda: backend.progress().get("done") == 1, "one map")
         assert first.name in backend.progress()["note"]
-        shutil.rmtree(backend.project / "sgm")
+        daemon.remove(backend.project / "sgm")
         # The state may still be that of the plan before the cut map was measured.
         daemon.wait(lambda: backend.progress() == {}, "no progress")
         daemon.wait(lambda: daemon.status("p").get("state") == "planned", "the plan alone")
@@ -501,7 +507,7 @@ def test_a_mesh_and_masks_are_input_and_what_a_backend_makes_is_none(root, confi
         (project / "masks").mkdir()
         (project / "masks/view1.jpg.png").write_bytes(b"no picture")
         daemon.wait(lambda: daemon.said("p", "planned") == 4, "the plan with a mask")
-        shutil.rmtree(project / "viewrank")
+        daemon.remove(project / "viewrank")
         daemon.wait(lambda: (project / "viewrank/manifest.json").exists(), "the plan once more")
 
 
@@ -640,7 +646,7 @@ def test_a_root_that_goes_is_found_again_when_it_comes_back(root, config):
     SMALL_MODEL(root / "p/sparse/0", 0)
     with Daemon(root, config, "--rescan", "500ms", settle="100ms") as daemon:
         daemon.wait_planned("p")
-        shutil.rmtree(root)
+        daemon.remove(".")
         daemon.wait(lambda: daemon.said("p", "gone"), "it to be missed")
         SMALL_MODEL(root / "q/sparse/0", 0)
         daemon.wait_planned("q")
