@@ -43,6 +43,7 @@ impl Attempt {
     /// measured shares of them, 0 to 1. A surplus at one triangle does not offset a shortfall at
     /// another.
     pub fn new(triangle: u32, pixels: u32, predicted: f32, measured: f32) -> Self {
+        // A triangle may be visible and yet cover no centre of a pixel.
         let pixels = pixels.max(1) as f32;
         let independent = pixels / (1.0 + (pixels - 1.0) * CORRELATION);
         Self {
@@ -158,6 +159,7 @@ impl ViewingGeometry {
         let angle = self
             .direction
             .dot(&other.direction)
+            // Rounding may take the product of equal directions beyond 1, where acos is NaN.
             .clamp(-1.0, 1.0)
             .acos()
             .to_degrees();

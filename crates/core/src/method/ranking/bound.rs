@@ -33,6 +33,7 @@ const LANES: usize = 8;
 /// these prices cover more often than needed, and lowers the others.
 pub fn most_of_any(length: usize, maps: &Maps, objective: &Objective, ranking: &Ranking) -> f64 {
     match objective.support {
+        // With m = 1 both inequalities bound the same f, so that one price is enough.
         1 => most_at_prices::<1>(length, maps, objective, ranking),
         _ => most_at_prices::<2>(length, maps, objective, ranking),
     }
@@ -55,6 +56,7 @@ fn most_at_prices<const N: usize>(
         bound = bound.min(best.most);
         if round < ROUNDS {
             let rows: Vec<_> = best.maps.iter().map(|&map| maps.row(map)).collect();
+            // Polyak's step, with what the ranking reaches in place of the unknown optimum.
             dual.improve(&rows, step.length * (best.most - first.fulfilment));
         }
     }
@@ -204,6 +206,7 @@ impl<const N: usize> Dual<N> {
         let each = e / (m - 1.0);
         let shares = match objective.support {
             1 => [1.0, 0.0],
+            // f_m + e · mean of the others = each · (sum of the m largest) + (1 − each) · f_m.
             _ => [each / (1.0 + e), (1.0 - each) / (m * (1.0 + e))],
         };
         let priced = |(&weight, price)| Priced {
@@ -288,6 +291,8 @@ impl<const N: usize> Dual<N> {
         pairs.for_each(|(at, along)| {
             for ((price, &along), share) in at.prices.iter_mut().zip(along).zip(shares) {
                 let down = length * share * f64::from(along);
+                // No f exceeds 1. Below 0, maps that don't see the triangle would have a surplus
+                // there, too, and tables have no entries for them.
                 *price = (f64::from(*price) - down).clamp(0.0, 1.0) as f32;
             }
         });
@@ -301,6 +306,8 @@ impl<const N: usize> Dual<N> {
         let mut best = all;
         best.sort_by(|&a, &b| per_work(b).total_cmp(&per_work(a)));
         let (whole, part) = within(limit, &best, |map| maps.work(map));
+        // A part of the next map, as in a fractional knapsack: else a set with less work in each
+        // map could exceed the bound.
         let next = best.get(whole).map_or(0.0, |&map| part * gain(map));
         best.truncate(whole);
         let most = self.paid() + best.iter().map(|&map| gain(map)).sum::<f64>() + next;
@@ -324,6 +331,7 @@ impl<const N: usize> Part<'_, N> {
         }
         let bounds = [self.first, self.first + self.priced.len()];
         for (triangles, values) in best {
+            // Rows ascend by triangle, so that a part needs no look at the entries of others.
             let [from, to] = bounds.map(|end| triangles.partition_point(|&t| (t as usize) < end));
             for (&t, &f) in triangles[from..to].iter().zip(&values[from..to]) {
                 let at = t as usize - self.first;

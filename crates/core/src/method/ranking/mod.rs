@@ -101,6 +101,7 @@ impl Ranking {
     /// what they leave, the others are expected to add the same parts as before.
     pub fn correct(&mut self, finished: usize, measured: f64) {
         let expected = self.share(finished);
+        // No factor leads from 0 to what was measured, and at 1 there is no rest to share out.
         if !(expected > 0.0 && expected < 1.0) {
             return;
         }
@@ -122,6 +123,7 @@ impl Ranking {
             return self.kept.len();
         }
         let wanted = share * self.reachable;
+        // Kept weight never falls along the order, so it can be bisected.
         (self.kept.partition_point(|&kept| kept < wanted) + 1).min(self.kept.len())
     }
 
@@ -311,6 +313,7 @@ impl<'a> Greedy<'a> {
             maps, by_triangle, ..
         } = self.ranker;
         let (gain, cluster) = (self.gain(map), maps.cluster(map));
+        // A key view is matched at one size only: the cluster's other map is out as well.
         self.left.retain(|&other| maps.cluster(other) != cluster);
         let raised = self.raise(maps.row(map));
         self.update_gains(&raised);
@@ -332,6 +335,7 @@ impl<'a> Greedy<'a> {
                 continue;
             }
             raised.triangles.push(t);
+            // Copied before they are overwritten: the gains of other maps change by the difference.
             raised.before.extend_from_slice(self.reached.largest(t));
             self.reached.take_at(t, f);
         }
@@ -345,8 +349,10 @@ impl<'a> Greedy<'a> {
             let [then, now] =
                 [before, reached.largest(t)].map(|largest| reached.gains_at(t, largest));
             let entries = self.ranker.by_triangle.row(t).iter();
+            // At or below the m-th largest f, a map gains nothing here, before or after.
             for entry in entries.filter(|entry| entry.f > before[0]) {
                 let change = now(entry.f) - then(entry.f);
+                // Sums of integers do not depend on the order in which threads add.
                 gains[entry.place as usize].fetch_add(change, Ordering::Relaxed);
             }
         };

@@ -111,6 +111,7 @@ impl<'a> Reached<'a> {
         largest: &'l [f32],
     ) -> impl Fn(f32) -> i64 + use<'l> {
         let weight = self.objective.weights[triangle as usize];
+        // Outside the closure, which is called for every map that sees the triangle.
         let before = FixedPoint::new(weight, Objective::worth(largest.iter().copied())).0;
         move |f| {
             if f <= largest[0] {
@@ -144,6 +145,8 @@ impl<'a> Reached<'a> {
         largest.copy_within(1..place, 0);
         largest[place - 1] = f;
         let weight = self.objective.weights[triangle as usize];
+        // The difference of rounded values, not a rounded difference: the sum stays that of the
+        // triangles, whatever the order in which clusters came.
         self.kept += FixedPoint::new(weight, f64::from(largest[0])).0
             - FixedPoint::new(weight, f64::from(agreed)).0;
     }
@@ -153,6 +156,7 @@ impl<'a> Reached<'a> {
 #[inline]
 fn with(largest: &[f32], f: f32) -> f64 {
     match *largest {
+        // Without allocation where m is 1 or 2, as for all backends but one.
         [_] => f64::from(f),
         [_, first] => Objective::worth([f.min(first), f.max(first)].into_iter()),
         _ => {

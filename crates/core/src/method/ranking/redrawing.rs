@@ -182,6 +182,7 @@ impl Redrawing {
             let own = &self.entries[entry as usize];
             let others = &self.entries[self.by_place.row(own.place as usize)];
             let gains = others.iter().map(|other| other.left * own.draws(other));
+            // The few views of a place are summed in f32, the many places in f64.
             f64::from(gains.sum::<f32>())
         });
         gains.sum()
@@ -257,9 +258,12 @@ impl Site<'_> {
         let seen = self.visibility.triangles_seen_by(view).iter();
         for &place in seen.filter(|&triangle| triangle % step == 0) {
             let area = self.area(view, place);
+            // Before the region's factor: a photograph that shows little of the region has little
+            // to be drawn.
             whole += area;
             let left = area * f64::from(self.factor(place));
             let ray = (self.surface.centroid(place) - centre).normalize();
+            // A camera at the centroid has no direction to it.
             if left > 0.0 && ray.iter().all(|x| x.is_finite()) {
                 entries.push(Entry {
                     place,
