@@ -95,6 +95,7 @@ impl<'a> Part<'a> {
 
     fn add(&mut self, place: u32, (triangles, values): (&[u32], &[f32])) {
         let rows = [self.first, self.first + self.next.len() as u32];
+        // Rows ascend, so that a part finds its entries without a look at those of others.
         let [from, end] = rows.map(|bound| triangles.partition_point(|&t| t < bound));
         for (&t, &f) in triangles[from..end].iter().zip(&values[from..end]) {
             let next = &mut self.next[(t - self.first) as usize];
@@ -160,6 +161,7 @@ impl ByTriangle {
     pub fn given_by_each(&self, triangles: &[u32], values: &[f32], end: usize) -> Vec<f64> {
         let mut given = vec![0.0; end];
         for (&t, &own) in triangles.iter().zip(values) {
+            // Entries ascend by place, because clusters are added in the order of the list.
             for entry in self
                 .row(t)
                 .iter()

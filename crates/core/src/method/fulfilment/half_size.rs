@@ -21,6 +21,8 @@ pub fn half_size(
     let half = table(&model.at(MapScale::Half), clusters, watcher)?;
     let mut blended = FulfilmentTableBuilder::like(model.visibility)?;
     for cluster in 0..clusters.len() {
+        // No triangle is lost: with fewer pixels and larger deviations, f is 0 wherever it is at
+        // full size.
         let values = blended_row(full.row(cluster), half.row(cluster), worth as f32);
         blended.push(full.row(cluster).0, &values)?;
         if cluster.is_multiple_of(READ_AT_ONCE) {

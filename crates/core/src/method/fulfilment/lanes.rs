@@ -31,6 +31,7 @@ pub struct KeyLanes {
 impl KeyLanes {
     /// No triangles: f is 0.
     pub const EMPTY: Self = Self {
+        // A trace of 1, which `smallest_eigenvalue` asks for, in lanes without a triangle, too.
         information: [[0.5; LANES], [0.0; LANES], [0.5; LANES]],
         unit: [0.0; LANES],
         resolution: [0.0; LANES],
@@ -114,6 +115,7 @@ impl ClusterLanes {
                 self.information[c][i] += partner.information[c][i];
             }
             let p = partner.confidence[i];
+            // From the most matches down: each depends on the next lower one without this partner.
             self.at_least[2][i] += p * (self.at_least[1][i] - self.at_least[2][i]);
             self.at_least[1][i] += p * (self.at_least[0][i] - self.at_least[1][i]);
             self.at_least[0][i] += p * (1.0 - self.at_least[0][i]);
@@ -203,11 +205,13 @@ fn closed_form<T: RealField + Copy>([xx, xy, yy, xz, yz, zz]: [T; 6]) -> T {
     let (kx, ky, kz) = (xx - mean, yy - mean, zz - mean);
     let spread =
         (kx * kx + ky * ky + kz * kz + (xy * xy + xz * xz + yz * yz) * c(2.0)) * c(1.0 / 6.0);
+    // With three equal eigenvalues r would be 0 / 0.
     let p = (if spread > c(1e-20) { spread } else { c(1e-20) }).sqrt();
     let determinant =
         kx * (ky * kz - yz * yz) - xy * (xy * kz - xz * yz) + xz * (xy * yz - ky * xz);
     let r = determinant / (p * p * p * c(2.0));
     let below = T::one() - r;
+    // Rounding may take r beyond -1 and 1, where the root or the fit does not hold.
     let below = if below < T::zero() { T::zero() } else { below };
     let below = if below > c(2.0) { c(2.0) } else { below };
     let s = below.sqrt();
@@ -269,6 +273,7 @@ pub fn exp2(x: f32) -> f32 {
     ];
     /// Adding this constant rounds to an integer, which appears in the lowest bits.
     const ROUND: f32 = 12_582_912.0;
+    // From -127 on the bits of the exponent would wrap around to a huge number.
     let x = if x > -125.0 { x } else { -125.0 };
     let whole = x + ROUND;
     let rest = x - (whole - ROUND);

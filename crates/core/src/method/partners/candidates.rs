@@ -139,6 +139,7 @@ impl<'a, 'limits> CandidateSearch<'a, 'limits> {
     }
 
     fn find(&self, key: ViewIndex) {
+        // The row stays unset, which `finish` reports.
         if self.watcher.cancelled() {
             return;
         }
@@ -197,6 +198,7 @@ pub fn neighbours(
         shared.entry(other).or_default().push(point);
     });
     let mut neighbours: Vec<_> = shared.into_iter().collect();
+    // Stable, so that ties stay in the order of the map's keys, which is that of names.
     neighbours.sort_by_key(|(_, points)| Reverse(points.len()));
     neighbours
 }
@@ -281,6 +283,8 @@ fn select(
         match refusal(&pair, limits) {
             Some(reason) => {
                 selected.refusals.add(reason);
+                // Without a baseline there is no depth to match, so that such a partner is no
+                // better than none.
                 unlikely.extend((reason == Reason::NotMatchable).then_some(pair));
             }
             None if selected.views.len() == settings.candidates as usize => break,
@@ -340,6 +344,7 @@ impl Neighbours {
             self.points[self.counts[view.index()]] = point;
             self.counts[view.index()] += 1;
         }
+        // Only those that were counted: the array is as long as the scene has views.
         self.views.iter().for_each(|v| self.counts[v.index()] = 0);
     }
 

@@ -51,6 +51,8 @@ impl<'a> PairGeometry<'a> {
             key,
             partner,
             shared,
+            // Medians of cosines and squared ratios, so that acos and log2 are computed for one or
+            // two points.
             angle_deg: median_of(&mut cosines, angle_deg),
             still_share,
             scale_octaves: median_of(&mut ratios, octaves),

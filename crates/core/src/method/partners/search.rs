@@ -46,6 +46,7 @@ pub fn search(block: &mut Block, start: Vec<usize>, n: usize) -> PartnerChoice {
             best = other;
         }
     }
+    // Ends, since the sum on all triangles grows with each exchange.
     while let Some(better) = exchange(block, &best, n, judges) {
         best = better;
     }
@@ -134,6 +135,7 @@ fn exchanges(block: &mut Block, partners: &[usize], n: usize, judges: Judges) ->
 
 /// Sorts the partners so that each adds most to those before it.
 pub fn best_first(block: &mut Block, mut partners: Vec<usize>) -> Vec<usize> {
+    // Candidates are numbered by shared points, so that ties go to the best connected.
     partners.sort_unstable();
     let judges = judges(block);
     let mut ordered = Vec::with_capacity(partners.len());

@@ -147,6 +147,7 @@ fn step(costs: &[u8], before: &[u8], out: &mut [u8], sums: &mut [u16], least: u8
     let (out, sums) = (&mut out[1..=planes], &mut sums[..planes]);
     let most = least + FAR;
     let mut best = u8::MAX;
+    // Nothing wraps: a pixel costs at most 64, a path at most that and FAR.
     for d in 0..planes {
         let beside = fewer[d].wrapping_add(NEXT).min(more[d].wrapping_add(NEXT));
         let cost = costs[d].wrapping_add(same[d].min(beside).min(most).wrapping_sub(least));

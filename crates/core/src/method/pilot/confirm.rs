@@ -69,6 +69,8 @@ pub fn confirm(clusters: &[ViewCluster], maps: &mut [Option<PilotMap>]) {
     };
     let jobs = clusters.par_iter().zip(&*maps);
     let confirmed: Vec<Option<Vec<bool>>> = jobs.map(of_map).collect();
+    // All maps are judged before any is changed: none may lose a depth because another has lost its
+    // own.
     let jobs = maps.par_iter_mut().zip(confirmed);
     jobs.for_each(|(map, is_confirmed)| {
         let depths = map.iter_mut().flat_map(|map| &mut map.inverse);

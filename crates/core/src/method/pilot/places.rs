@@ -120,6 +120,8 @@ impl Places {
     ) -> Result<(), Cancelled> {
         for (own, others) in overlapping(maps).iter().enumerate() {
             watcher.check()?;
+            // Places are found by all threads but taken in the order of the pixels: a cell's first
+            // place is the same on any number of threads.
             for found in shown(maps, own, others, sample) {
                 let agreement = agreement(found.maps.len());
                 if let Some(agreement) = agreement.filter(|_| sample.takes(found.cell())) {
@@ -200,6 +202,8 @@ pub(super) fn bytes(pixels: usize) -> u64 {
 
 /// Returns the wanted GSD where this is the finest, as the exponent of a power of two.
 fn octave(finest: f64) -> i32 {
+    // Rounded, so that points next to each other are in cells of one grid although their finest
+    // GSDs differ a little.
     (GSD_MARGIN * finest).log2().round() as i32
 }
 

@@ -245,6 +245,7 @@ impl Scratch {
         let wide = width + 2 * BESIDE;
         for y in 0..height {
             for x in 0..width {
+                // Whole numbers below 2^24, exact in f32, so that the variance below loses little.
                 let (mut sum, mut squares) = (0.0, 0.0);
                 for row in self.padded[y * wide..].chunks(wide).take(WINDOW) {
                     for level in &row[x..x + WINDOW] {

@@ -242,6 +242,7 @@ impl Ballot {
         Self {
             votes: cells.map(|_| Votes::default()).collect(),
             full: settings.ray_weight * units,
+            // Points are rounded to the grid, and a sigma of 0 would make votes NaN.
             sigma: (rays.sigma * settings.sigma_factor).max(delaunay.step()),
             behind_sigma: settings.behind_sigma,
         }
@@ -262,6 +263,8 @@ impl Ballot {
             for crossing in ray.by_ref() {
                 let beyond = delaunay.neighbour(crossing.facet);
                 cast(
+                    // On the arc from the camera's side to the point's: it is a surface in this
+                    // direction that would hide the point.
                     &self.votes[beyond.cell() as usize].facets[beyond.index()],
                     self.vote(crossing.t * length),
                 );

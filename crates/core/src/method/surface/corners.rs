@@ -159,6 +159,7 @@ fn around_edge(surface: &Surface, edge: &[u32]) -> Vec<u32> {
 /// Returns two unit vectors that form a right-handed frame with the axis.
 fn axis_frame(axis: Vector3<f64>) -> [Vector3<f64>; 2] {
     let axis = axis.try_normalize(0.0).unwrap_or(Vector3::z());
+    // The least aligned axis: with another one the product could vanish.
     let first = axis.cross(&Vector3::ith(axis.iamin(), 1.0)).normalize();
     [first, axis.cross(&first)]
 }

@@ -179,6 +179,7 @@ fn carved(
     steps: &Steps,
 ) -> Result<Surface, SurfaceError> {
     let delaunay = Delaunay::triangulate(positions, steps.watcher)?;
+    // Only on the grid: what is flat before is terrain.
     if delaunay.dimension != Dimension::Three {
         return Err(SurfaceError::Linear);
     }
@@ -187,6 +188,7 @@ fn carved(
     stats.add(&delaunay, &rays);
     let raw = carve::carve(&delaunay, &rays, settings, steps.watcher)?;
     stats.raw_triangles += raw.surface.triangles.len();
+    // Cells and rays are larger than the surface that is copied next.
     drop((delaunay, rays));
     steps.reached(3);
     Ok(clean::clean(&raw.surface, &raw.seen))

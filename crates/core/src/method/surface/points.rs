@@ -61,6 +61,7 @@ pub(super) fn near(scene: &Scene, mut points: Vec<PointIndex>) -> Vec<PointIndex
 fn mean_error_px(scene: &Scene, point: PointIndex) -> Option<f64> {
     let track = scene.track(point);
     let views = &scene.track_views[track.clone()];
+    // Views of a track ascend: with the same at both ends it has one view or none.
     if views.first() == views.last() {
         return None;
     }
@@ -132,6 +133,7 @@ pub fn extremes(directions: &[Vector3<f64>], most: usize) -> Vec<usize> {
             .min_by(|&a, &b| nearness[a].total_cmp(&nearness[b]))
             .unwrap_or(0);
         if kept.is_empty() {
+            // The mean only decides on the first.
             nearness.fill(f64::NEG_INFINITY);
         }
         kept.push(farthest);

@@ -98,6 +98,7 @@ fn add_triangle(quadrics: &mut [Quadric], surface: &Surface, triangle: usize) {
     let plane = Quadric::plane(unit, at(corners[0]), weight);
     for v in corners {
         quadrics[v].add(&plane);
+        // The planes around a vertex of a flat part have no unique minimum by themselves.
         quadrics[v].add(&Quadric::pull(at(v), PULL_WEIGHT * weight));
     }
 }

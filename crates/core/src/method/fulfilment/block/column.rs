@@ -73,6 +73,7 @@ impl<'a> PartnerView<'a> {
         sees: &[bool; LANES],
     ) -> [[[f64; LANES]; 3]; 2] {
         let mut rows = [[[0.0; LANES]; 3]; 2];
+        // Lens models are projected one by one, without vector instructions, so only what is used.
         for i in (0..LANES).filter(|&i| sees[i]) {
             let ray = self.rotation * Vector3::new(rays[0][i], rays[1][i], rays[2][i]);
             let projected = self.camera.project_with_jacobian(&ray.into());

@@ -76,6 +76,8 @@ struct TriangleLanes {
 
 impl TriangleLanes {
     const EMPTY: Self = Self {
+        // Not 0: lanes without a triangle are computed, too, and a ray without direction would give
+        // NaN.
         ray: [[1.0; LANES]; 3],
         normal: [[0.0; LANES]; 3],
         cosine: [0.0; LANES],
@@ -251,6 +253,7 @@ impl<'a> Block<'a> {
             self.agreed.push(chances.is_some());
             self.unary.push(chances.unwrap_or(by_views));
         }
+        // Only the entries that were set: the array is as long as the surface has triangles.
         seen.iter().for_each(|&t| slot_of[t as usize] = EMPTY);
     }
 
@@ -316,6 +319,8 @@ impl<'a> Block<'a> {
         let mut column = std::mem::take(&mut self.columns[partner]);
         if column.len() < groups {
             let view = PartnerView::new(&self.model, self.key, self.partners[partner]);
+            // All at once and no more: a column that doubled as it grows would exceed the forecast
+            // of `bytes`.
             column.reserve_exact(self.len() - column.len());
             vectorised(ColumnKernel {
                 block: self,

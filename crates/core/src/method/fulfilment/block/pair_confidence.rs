@@ -36,6 +36,7 @@ pub(super) fn geometric(
     if let Some(degrees) = numbers.full_angle_deg {
         times_angle(&mut chance, degrees, &chords);
     }
+    // Comparisons in this order turn NaN into 0.
     chance.map(|c| {
         if c > 0.0 {
             if c < 1.0 { c } else { 1.0 }
@@ -96,6 +97,7 @@ fn squared(v: &[[f64; LANES]; 3], i: usize) -> f64 {
 fn times_scale(chance: &mut Lanes, octaves: f64, ratios: &Lanes) {
     let factor = (-0.125 * std::f64::consts::LOG2_E / (octaves * octaves)) as f32;
     for i in 0..LANES {
+        // Lanes without a triangle may hold 0 or NaN, which `log2` does not take.
         let twice = log2(if ratios[i] > 1e-30 { ratios[i] } else { 1e-30 });
         chance[i] *= exp2(factor * twice * twice);
     }

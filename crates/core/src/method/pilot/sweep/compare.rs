@@ -171,6 +171,7 @@ impl Row {
             &self.quad[..width],
         );
         for x in 0..width {
+            // Through i32: before AVX-512, x86 has no vector conversion from u32.
             let level = |byte: u32| (quad[x] >> (8 * byte) & 255) as i32 as f32;
             let upper = level(0) + right[x] * (level(1) - level(0));
             let lower = level(2) + right[x] * (level(3) - level(2));

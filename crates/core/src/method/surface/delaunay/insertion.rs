@@ -255,6 +255,7 @@ impl<'a> Construction<'a> {
             self.removed.push(beyond);
             return;
         }
+        // So that it is not tested again when another facet leads to it.
         self.marks[beyond as usize] = Mark::Kept;
         self.boundary.push(BoundaryFacet {
             vertices: FACET_VERTICES[index].map(|i| cell.vertices[i]),
@@ -313,6 +314,7 @@ impl<'a> Construction<'a> {
         );
         for (facet, &cell) in self.boundary.iter_mut().zip(&self.removed) {
             let [u, v, w] = facet.vertices;
+            // Rotated, not swapped: the facet keeps its orientation.
             if u == self.infinite {
                 facet.vertices = [v, w, u];
             } else if v == self.infinite {
@@ -341,6 +343,7 @@ impl<'a> Construction<'a> {
                 let old = site.label as usize;
                 // Labels of earlier insertions are recognised by the entry that they point to, so
                 // that none has to be cleared.
+                // The masks change no label, but spare checks of bounds.
                 let fresh = old >= count || self.labelled[old & (TABLE_VERTICES - 1)] != v;
                 let label = if fresh { count } else { old } & (TABLE_VERTICES - 1);
                 site.label = label as u32;

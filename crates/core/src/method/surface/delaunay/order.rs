@@ -151,6 +151,7 @@ fn mix(mut v: u32) -> u32 {
 fn hilbert_key(site: &Site) -> Place {
     let [x, y, z] = site.coordinates().map(|v| (v + HALF_RANGE) as u32);
     let mut state = 0;
+    // In two halves, because 90 bits do not fit into a u64.
     let mut digits = |levels: std::ops::Range<u32>| {
         levels.rev().fold(0u64, |key, level| {
             let octant = (x >> level & 1) | (y >> level & 1) << 1 | (z >> level & 1) << 2;
