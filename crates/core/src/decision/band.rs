@@ -84,6 +84,7 @@ impl Band {
         let half = if tables.agreement.is_empty() {
             UNSEEN_SHARE
         } else if reachable > 0.0 {
+            // A quarter of the whole width is half of the distance to either end.
             (0.25 * (of_reachable.high - of_reachable.low) / reachable).clamp(SHARE.0, SHARE.1)
         } else {
             SHARE.1

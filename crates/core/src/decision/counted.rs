@@ -417,6 +417,8 @@ impl Weighing<'_> {
         weights
             .iter_mut()
             .for_each(|weight| *weight *= (1.0 - predicted) * sum);
+        // Without `sum`: of weights that add up to 1, it is what all clusters keep of the
+        // triangles.
         weights.extend(by_triangle.weights.iter().map(|weight| predicted * weight));
         objective.inside = by_triangle.inside;
         objective

@@ -88,6 +88,7 @@ impl Nearest {
             points
                 .observed_by(view)
                 .iter()
+                // Only those that were set: the array is as long as the scene has points.
                 .for_each(|p| observed[p.index()] = false);
             Ok(row)
         };

@@ -42,6 +42,7 @@ fn with_surroundings(surface: &Surface, pixels: &[f64]) -> Option<Vec<u32>> {
     let mut order: Vec<u32> = triangles
         .filter(|&t| areas[t as usize] > 0.0 && density(t) > 0.0)
         .collect();
+    // Ties by number: the threads of an unstable sort must not decide them.
     order.par_sort_unstable_by(|&a, &b| density(b).total_cmp(&density(a)).then(a.cmp(&b)));
     let least = SURROUNDINGS * density(*order.get(core(&order, pixels, &areas)?)?);
     order.truncate(order.partition_point(|&t| density(t) >= least));

@@ -355,6 +355,7 @@ fn places_inside(
         Some((place, properties?))
     };
     let mut places = grid.centres(inside, watcher)?;
+    // A narrow or winding region fills little of its rectangle.
     let finer = (LEAST_INSIDE / places.len().max(1) as f64).min(FINEST * FINEST);
     if let Some(fine) = Grid::new(&bounds, CELLS * finer).filter(|_| finer > 1.0) {
         grid = fine;

@@ -46,6 +46,7 @@ pub fn refine(
     let triangles: f64 = (0..surface.triangles.len() as u32)
         .map(|t| expected_pieces(&surface, &limits, t))
         .sum();
+    // NaN would pass the comparison.
     if triangles.is_nan() || triangles > most as f64 {
         let limit = limits.iter().copied().fold(f64::INFINITY, f64::min);
         return Err(RefineError::TooFine {
@@ -110,6 +111,7 @@ impl Splitting {
         };
         let corners = 0..mesh.opposite.len() as u32;
         corners
+            // Each edge once; at a border the opposite is the largest number.
             .filter(|&c| c < mesh.opposite[c as usize])
             .collect::<Vec<_>>()
             .into_iter()
@@ -154,6 +156,7 @@ impl Splitting {
     }
 
     fn split_if_fresh(&mut self, edge: LongEdge) -> bool {
+        // Splits rename and shorten edges without a search of the queue.
         let is_fresh = self.long_edge(edge.corner) == edge;
         if is_fresh {
             self.split(edge.corner);

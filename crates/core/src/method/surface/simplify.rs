@@ -295,6 +295,7 @@ impl EdgeCollapse {
 
     /// Returns whether no normal rotates by more than 80 degrees and no triangle degenerates.
     fn keeps_orientation(&self, corner: u32, rings: &[Vec<u32>; 2], place: Point3<f64>) -> bool {
+        // At a border, the second number is beyond all triangles whose corners 32 bits can number.
         let removed = [corner / 3, self.opposite[corner as usize] / 3];
         let mut left = rings
             .iter()
@@ -307,6 +308,7 @@ impl EdgeCollapse {
             let after = (p - place).cross(&(q - place));
             let size = before.norm() * after.norm();
             after.norm_squared() > 0.0
+                // A triangle without area has no normal to keep.
                 && (before.dot(&after) >= MIN_TURN_COSINE * size || before.norm_squared() == 0.0)
         })
     }

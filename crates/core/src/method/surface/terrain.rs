@@ -48,6 +48,7 @@ pub fn triangulate(points: &[Point3<f64>], frame: &UprightFrame, edge: f64) -> S
 fn median_heights(local: &[[f64; 3]], cell: f64) -> Vec<[f64; 3]> {
     let square = |p: &[f64; 3]| [p[0], p[1]].map(|x| (x / cell).floor() as i64);
     let mut sorted: Vec<([i64; 2], [f64; 3])> = local.iter().map(|p| (square(p), *p)).collect();
+    // By height for the median, ties by position: sums must not depend on the order of the points.
     sorted.sort_unstable_by(|a, b| a.0.cmp(&b.0).then_with(|| by_height(&a.1, &b.1)));
     let of_square = sorted.chunk_by(|a, b| a.0 == b.0);
     of_square.map(node).collect()

@@ -228,6 +228,7 @@ impl Tolerance {
     /// Returns whether `front` is in front of `own` by more than the tolerance; both are inverse
     /// depths.
     pub fn hides(&self, front: f64, own: f64) -> bool {
+        // In depths: own - front > max(length, share * own), multiplied by both inverse depths.
         front - own > front * (self.length * own).max(self.depth_share)
     }
 }
@@ -465,6 +466,7 @@ fn fill(face: &Face, triangle: u32, corners: [Vector3<f64>; 3], visit: &mut impl
     let [a, b, c] = corners;
     let area = (b.x - a.x) * (c.y - a.y) - (b.y - a.y) * (c.x - a.x);
     let (low_y, high_y) = (least(least(a.y, b.y), c.y), most(most(a.y, b.y), c.y));
+    // Negated, so that NaN is left out, too.
     if !(area != 0.0 && high_y >= 0.5 && low_y < face.height as f64) {
         return;
     }

@@ -332,6 +332,8 @@ impl<'a> Estimator<'a> {
             front > 0.0
                 && other != triangle
                 && self.tolerance.hides(front, own)
+                // The pixel's centre is not on the ray to the point, so the triangle there need not
+                // meet it.
                 && hit(&self.corners(pose, other), &point.coords)
                     .is_some_and(|share| self.tolerance.hides(own / share, own))
         };
@@ -381,6 +383,7 @@ pub(super) fn hit([a, b, c]: &[Point3<f64>; 3], ray: &Vector3<f64>) -> Option<f6
     let normal = (b - a).cross(&(c - a));
     let share = normal.dot(&a.coords) / normal.dot(ray);
     let sides = [(a, b), (b, c), (c, a)].map(|(p, q)| p.coords.cross(&q.coords).dot(ray));
+    // From either side: surface hides what is behind it whichever way it faces.
     let inside = sides.iter().all(|&s| s >= 0.0) || sides.iter().all(|&s| s <= 0.0);
     (inside && share > 0.0).then_some(share)
 }

@@ -217,6 +217,7 @@ pub fn estimate(
         let seen = steps.run(|| stage.look(view, points.observed_by(view), picture, &observations));
         seen.map(|seen| {
             seen.unwrap_or_else(|| {
+                // The least, so that the same view is named whichever thread comes first.
                 first_crowded.fetch_min(view.0, Ordering::Relaxed);
                 Vec::new()
             })

@@ -52,6 +52,7 @@ impl Default for ShownSum {
 
 impl ShownSum {
     fn add(&self, area: f64, gsd: f32) {
+        // With this limit, the sum over 280,000 views fits into 64 bits.
         let parts = (area.min(Shown::MOST_PIXELS) * PARTS) as u64;
         self.views.fetch_add(1, Ordering::Relaxed);
         self.pixels.fetch_add(parts, Ordering::Relaxed);

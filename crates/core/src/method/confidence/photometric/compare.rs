@@ -92,6 +92,7 @@ impl<'a> Sampler<'a> {
 
     fn into_faults(self) -> Vec<PictureFault> {
         let mut faults = self.faults.into_inner().unwrap_or_default();
+        // Threads add them in any order.
         faults.sort_by_key(|(view, _)| *view);
         faults
     }

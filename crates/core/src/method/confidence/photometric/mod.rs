@@ -47,6 +47,7 @@ impl Photometric {
         let agree = settings.agree.unwrap_or(self.agree);
         Self {
             agree,
+            // A user's `agree` may be below the backend's `differ`.
             differ: settings.differ.unwrap_or(self.differ).min(agree),
             full_agreement: settings.full_agreement.unwrap_or(self.full_agreement),
         }

@@ -138,6 +138,8 @@ impl<'a> Sampler<'a> {
     fn sample(&self, triangle: u32, spacing: f64, stack: &mut [i8]) {
         let surface = self.geometry.surface;
         let corners = surface.corners(triangle);
+        // Axes of the triangle, not of a view, so that the samples of all views are of the same
+        // places.
         let edge = (corners[1] - corners[0]).normalize();
         let across = surface.area_normal(triangle).normalize().cross(&edge);
         for (shares, patch) in CENTRES.iter().zip(stack.chunks_exact_mut(PATCH)) {
@@ -208,6 +210,7 @@ fn normalise(samples: &[[f32; SIDE]; SIDE], patch: &mut [i8]) {
 pub(super) fn correlation(a: &[i8], b: &[i8]) -> Option<f32> {
     let (mut sum, mut patches) = (0i32, 0);
     for (a, b) in a.chunks_exact(PATCH).zip(b.chunks_exact(PATCH)) {
+        // Normalised samples are at least -127.
         if a[0] != NOT_SEEN && b[0] != NOT_SEEN {
             sum += a
                 .iter()

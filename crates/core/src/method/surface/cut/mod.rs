@@ -155,6 +155,7 @@ fn nodes(
     mut capacities: Vec<Capacities>,
     watcher: &dyn Watcher,
 ) -> Result<Vec<Node>, Cancelled> {
+    // Zeroed pages take memory when they are written, by when capacities behind them are freed.
     let mut nodes: Vec<Node> = bytemuck::zeroed_vec(cells.len());
     for block in blocks(cells.len()).rev() {
         watcher.check()?;
@@ -180,6 +181,8 @@ impl<'a> Search<'a> {
         capacities: Vec<Capacities>,
         watcher: &'a dyn Watcher,
     ) -> Result<Self, Cancelled> {
+        // What a cell takes straight from the source to the sink is flow at once; nodes begin with
+        // the difference.
         let flow = capacities
             .iter()
             .map(|own| u64::from(own.source.min(own.sink)))
@@ -266,6 +269,7 @@ impl<'a> Search<'a> {
             }
             let other = &mut self.nodes[beyond.cell() as usize];
             if other.tree == tree.other() {
+                // The same arc again: it may have capacity left.
                 self.augment(Facet::new(index, slot), tree)?;
                 continue;
             }
@@ -310,6 +314,7 @@ impl<'a> Search<'a> {
 
     /// Pushes flow over an arc in the direction of `along`.
     fn push(&mut self, arc: Facet, along: SearchTree, amount: u32) {
+        // Both ends keep the arc's residuals, so that a scan reads its own node alone.
         let (there, back) = (along as usize, along.other() as usize);
         let node = &mut self.nodes[arc.cell() as usize];
         node.residual[there][arc.index()] -= amount;
