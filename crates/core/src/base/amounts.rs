@@ -101,6 +101,7 @@ impl FromStr for Budget {
                 .map(Self::Views)
                 .map_err(|_| Self::refuse(text))
         };
+        // Without a sign only below 1: 1.5 may be meant as clusters or as per cent.
         let text_is_share = text.trim().ends_with('%') || text.trim().starts_with(['0', '.']);
         match text.trim().parse() {
             Ok(0) => Err(Self::refuse(text)),
@@ -182,6 +183,7 @@ impl FromStr for Bytes {
         let (number, unit) = split(text.trim(), |c| c.is_ascii_digit() || c == '.');
         let unit = unit
             .trim()
+            // "4GB" and "4GiB" are the same here.
             .trim_end_matches('B')
             .trim_end_matches('i')
             .to_uppercase();

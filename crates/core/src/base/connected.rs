@@ -10,6 +10,7 @@ pub fn components<I: Iterator<Item = u32>>(
     for node in 0..nodes as u32 {
         for other in neighbours(node) {
             let (a, b) = (root(&mut first, node), root(&mut first, other));
+            // The smaller is the root, so that components come in the order of their first nodes.
             first[a.max(b) as usize] = a.min(b);
         }
     }

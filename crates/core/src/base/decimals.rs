@@ -3,6 +3,7 @@
 /// Rounds to a number of decimals; never to -0.
 pub fn to_decimals(number: f64, decimals: i32) -> f64 {
     let scale = 10f64.powi(decimals);
+    // Adding 0 turns -0 into 0.
     (number * scale).round() / scale + 0.0
 }
 

@@ -32,6 +32,7 @@ pub fn shortened(text: &str) -> Cow<'_, str> {
     if text.chars().nth(MOST_CHARACTERS).is_none() {
         return text.into();
     }
+    // 5 characters are the dots between, with their blanks.
     let start = text.char_indices().nth(MOST_CHARACTERS - AT_END - 5);
     let end = text.char_indices().nth_back(AT_END - 1);
     let [start, end] = [start, end].map(|found| found.map_or(0, |(at, _)| at));

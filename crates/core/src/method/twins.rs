@@ -66,6 +66,7 @@ pub fn twins(
     };
     let best_first = criteria.ranked(&placed, watcher)?;
     let mut aside = set_aside(scene, &best_first, watcher)?;
+    // Of two views that are kept for tests none is set aside for the other.
     aside.retain(|twin| !criteria.is_test(twin.view));
     Ok(aside)
 }
@@ -228,6 +229,7 @@ impl Grid {
             .copied()
             .collect();
         near.sort_unstable();
+        // Saturated positions name a cube more than once.
         near.dedup();
         near.truncate(most);
         near

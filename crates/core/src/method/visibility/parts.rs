@@ -100,6 +100,8 @@ fn whole_parts(triangles: &[[u32; 3]], vertices: usize, counts: &[bool]) -> Vec<
     }
     let beside = |t: u32| {
         let corners = triangles[t as usize];
+        // All triangles at a vertex are connected through the last one, without a list of those at
+        // each.
         corners.map(|v| last_at[v as usize]).into_iter()
     };
     let mut kept = counts.to_vec();

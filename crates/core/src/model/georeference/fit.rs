@@ -75,6 +75,7 @@ fn refined(
         let near = distances(&best, from, to);
         let spread = median_distance(near.iter().copied());
         // 1.4826: a median of absolute values as a standard deviation of normal errors.
+        // 1 + 5 / (n - p): correction for few positions (Rousseeuw, Leroy 1987), p those of a fit.
         let limit = INLIER * 1.4826 * spread * (1.0 + 5.0 / (n as f64 - 3.0).max(1.0));
         inliers = (0..n).filter(|&i| near[i] <= limit).collect();
         best = least_squares(from, to, &inliers)?;
@@ -84,6 +85,7 @@ fn refined(
 
 /// Returns the similarity by one of the random triples that has the least median distance.
 fn least_median(from: &[Vector3<f64>], to: &[Vector3<f64>]) -> Option<Similarity> {
+    // A fixed seed: the same positions give the same place.
     let mut random = Pcg64Mcg::seed_from_u64(0);
     let mut draw = || (random.next_u64() % from.len() as u64) as usize;
     let triples = (0..TRIPLES)

@@ -88,6 +88,7 @@ type Spread = [(f64, Vector3<f64>); 3];
 
 fn plane_fit(points: &[Point3<f64>]) -> (Point3<f64>, Spread) {
     let n = points.len().max(1) as f64;
+    // Relative to one of them: sums of earth-centred or UTM coordinates would lose digits.
     let anchor = points.first().map_or(Vector3::zeros(), |p| p.coords);
     let mean = anchor
         + points

@@ -193,6 +193,7 @@ fn spherical_ray(azimuth: f64, down: f64) -> Option<Vector3<f64>> {
 fn equidistant_factor(axis: f64, z: f64) -> Factor {
     let t = axis / z;
     let by_z = -1.0 / (axis * axis + z * z);
+    // Near the axis, the difference below cancels.
     if t < 1e-3 {
         let series = 1.0 - t * t / 3.0;
         return Factor {

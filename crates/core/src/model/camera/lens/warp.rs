@@ -264,6 +264,7 @@ fn crossing(c: &[f64], mut low: f64, mut high: f64) -> Option<f64> {
     if is_positive(low) == rising {
         return None;
     }
+    // The bracket may end at the largest number, a thousand halvings above 1.
     for _ in 0..2000 {
         let middle = low + 0.5 * (high - low);
         if middle <= low || middle >= high {
