@@ -41,6 +41,8 @@ impl TargetMode {
     pub fn in_force(self, target_is_given: bool) -> Self {
         match self {
             Self::Auto if target_is_given => Self::Absolute,
+            // One g_d for a scene that is 50 m deep here and 500 m there would call all that is far
+            // a failure.
             Self::Auto => Self::Best,
             chosen => chosen,
         }
@@ -69,6 +71,7 @@ impl Target {
         let mode = settings.mode.in_force(settings.gsd.is_some());
         let accuracy_over_gsd = settings.accuracy.map_or(1.0, |accuracy| accuracy / gsd);
         let wanted = |&finest: &f32| {
+            // The margin leaves room for views from a little farther away.
             let wanted = (GSD_MARGIN * f64::from(finest) / image_scale) as f32;
             if mode == TargetMode::Best && wanted.is_finite() && wanted > 0.0 {
                 wanted

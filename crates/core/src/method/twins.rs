@@ -153,6 +153,7 @@ fn set_aside(
     let mut grid = Grid::default();
     for Ranked { placed, .. } in best_first {
         watcher.check()?;
+        // Only those that remain: a slow walk keeps a view at every hundredth of the depth.
         let mut near = grid.near(placed).into_iter().map(|other| remain[other]);
         match near.find(|other| are_twins(scene, placed, other)) {
             Some(better) => aside.push(Twin {

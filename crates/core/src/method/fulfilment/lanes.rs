@@ -153,6 +153,7 @@ impl ClusterLanes {
             let component = |c: &Lanes| convert::<f64, T>(f64::from(c[i]));
             let smallest = smallest_eigenvalue([xx, xy, yy, xz, yz, zz].map(component));
             let spread = convert::<f64, T>(f64::from(key.unit[i])) * smallest.sqrt();
+            // A comparison is one instruction, which `min` is not.
             let uncertainty = if spread < T::one() { spread } else { T::one() };
             let resolution = convert::<f64, T>(f64::from(key.resolution[i]));
             let weight = convert::<f64, T>(f64::from(weights.uncertainty));

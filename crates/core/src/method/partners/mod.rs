@@ -42,10 +42,13 @@ pub fn choose(
     seed: u64,
     watcher: &dyn Watcher,
 ) -> Result<(Vec<ViewCluster>, FulfilmentTable), TableError> {
+    // Once for all, not again for what the ranking lacks: partners chosen for the gain win nothing
+    // reliable on real maps (method 4.1).
     let choosing = Choosing::new(model, candidates, settings, seed);
     let keys = choosing.keys();
     let steps = StepCounter::start(watcher, Stage::Partners, keys.len());
     let mut clusters = Vec::with_capacity(keys.len());
+    // The search has f of the chosen set at hand, which would be costly to compute again.
     let mut table = FulfilmentTableBuilder::like(model.visibility)?;
     column::in_order(
         &keys,

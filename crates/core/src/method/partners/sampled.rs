@@ -114,6 +114,7 @@ fn count(n: usize, k: usize) -> u128 {
     let Some(others) = n.checked_sub(k) else {
         return 0;
     };
+    // Exact: the product of i + 1 successive numbers is divisible by (i + 1)!.
     let next = |count: u128, i: usize| Some(count.checked_mul((n - i) as u128)? / (i as u128 + 1));
     (0..k.min(others)).try_fold(1, next).unwrap_or(u128::MAX)
 }

@@ -151,6 +151,7 @@ impl Places {
                 part.place = new.unwrap_or_default();
                 new.is_some()
             });
+            // The memory is what they are thinned out for.
             parts.shrink_to_fit();
         }
         retain(&mut self.centres, sampled);

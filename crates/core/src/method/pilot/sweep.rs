@@ -149,6 +149,7 @@ pub fn sweep(
     quads.resize_with(quads.len().max(partners.len()), Vec::new);
     let of_partners = partners.iter().zip(&mut quads);
     of_partners.for_each(|(partner, quads)| partner.write_quads(quads));
+    // Partners within planes, so that only the best correlations of one plane are held.
     for plane in 0..planes.count {
         let inverse = planes.inverse(plane as f64);
         scratch.best.iter_mut().for_each(|best| best.fill(0.0));
@@ -265,6 +266,7 @@ impl Scratch {
     fn store(&mut self, plane: usize, planes: usize, partners: usize) {
         let counted = partners.min(BEST);
         let scale = WORST / counted as f32;
+        // The planes of a pixel are side by side, as the aggregation reads them.
         for (pixel, costs) in self.costs.chunks_exact_mut(planes).enumerate() {
             let sum: f32 = self.best[..counted].iter().map(|best| best[pixel]).sum();
             costs[plane] = (WORST + 0.5 - scale * sum).max(0.0) as u8;

@@ -105,6 +105,7 @@ impl Thumbnail {
     /// Reduces the picture of a view; `None` if it is no perspective picture.
     fn of(scene: &Scene, view: ViewIndex, grey: &Grey, mask: Option<&Mask>) -> Option<Self> {
         let camera = pinhole(scene, view)?;
+        // Samples of a larger level would pass over pixels between them.
         let level = grey.level_of(LONG_SIDE);
         let (mut levels, mut allowed) = (Vec::new(), Vec::new());
         for [x, y] in shown(&camera, scene.camera_of(view)) {

@@ -197,6 +197,7 @@ impl<'a> Ranker<'a> {
         let by_triangle = ByTriangle::of_rows(&rows, maps.storage(), objective.weights.len())?;
         let nothing = Reached::new(objective);
         let gain = |&map: &u32| nothing.whole_gain(maps.row(map));
+        // Once for all prices, whose rankings begin with these gains.
         let alone = column::read_by_parts(&all, gain, || maps.release());
         let reachable = maps
             .has_half()
@@ -238,6 +239,8 @@ impl<'a> Ranker<'a> {
         }
         let total = greedy.gaining().count() as u64;
         watcher.progress(Stage::Ranking, 0, total);
+        // No exchanges afterwards: they raise f_o by at most 5.4 % and save a map in 4 of 36 plans,
+        // but a longer plan would no longer begin with a shorter one.
         while let Some(map) = greedy.best() {
             watcher.check()?;
             greedy.take(map, &mut ranking);
@@ -287,6 +290,8 @@ impl<'a> Greedy<'a> {
 
     /// Returns the map with the largest gain less its price, among those that gain.
     fn best(&self) -> Option<u32> {
+        // Not gain over work, which takes all cheap maps first: from half of the work on, its f_o
+        // is up to 7 % below that of full size alone.
         let surplus = |gain: i64, map: u32| gain - self.costs[map as usize];
         let alone = |map: u32| self.ranker.alone[map as usize];
         let key = |&map: &u32| {
@@ -296,6 +301,7 @@ impl<'a> Greedy<'a> {
                 Reverse(map),
             )
         };
+        // A scan, not a heap: a step changes the gains of many maps, upwards, too.
         self.gaining().max_by_key(key)
     }
 

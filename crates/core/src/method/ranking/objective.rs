@@ -34,6 +34,7 @@ impl Objective {
     ) -> Self {
         let triangles = 0..surface.triangles.len();
         let raw: Vec<f64> = match weight {
+            // The far walls of a room, cut into many triangles, outweigh the bust in it then.
             TriangleWeight::Count => triangles.map(|_| 1.0).collect(),
             TriangleWeight::Area => return Self::by_area(surface, region, support),
             TriangleWeight::Pixels => triangles.map(|t| shown.mean_pixels(t)).collect(),
@@ -93,6 +94,8 @@ impl Objective {
         match others {
             0 => agreed,
             n => {
+                // Without the credit, no first map would gain anything, and the order would be
+                // arbitrary.
                 (agreed + SINGLE_MAP_CREDIT * largest.sum::<f64>() / n as f64)
                     / (1.0 + SINGLE_MAP_CREDIT)
             }

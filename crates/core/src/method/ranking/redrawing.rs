@@ -180,6 +180,7 @@ impl Redrawing {
         let shown = self.of_view[view.index()].iter();
         let gains = shown.map(|&entry| {
             let own = &self.entries[entry as usize];
+            // Its own photograph is among them, which it does not draw whole either.
             let others = &self.entries[self.by_place.row(own.place as usize)];
             let gains = others.iter().map(|other| other.left * own.draws(other));
             // The few views of a place are summed in f32, the many places in f64.
@@ -192,6 +193,8 @@ impl Redrawing {
         for &entry in &self.of_view[view.index()] {
             let own = self.entries[entry as usize];
             for other in &mut self.entries[self.by_place.row(own.place as usize)] {
+                // Gains that fall more slowly with each further image were no better: they lose
+                // more in `room` or `lego` than they win elsewhere.
                 other.left *= 1.0 - own.draws(other);
             }
         }

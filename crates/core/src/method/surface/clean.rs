@@ -19,6 +19,7 @@ const SMALL_COMPONENT_TRIANGLES: usize = 100;
 /// small components.
 pub fn clean(surface: &Surface, seen: &[bool]) -> Surface {
     let limit = edge_percentile(surface, seen, 0.95).map_or(0.0, |p| LONG_EDGE_FACTOR * p);
+    // The cut also closes the surface underneath and around the scene, where no ray arrives.
     let is_kept = |t: usize| seen[t] && longest_edge(surface, t as u32) <= limit;
     let keep: Vec<bool> = (0..seen.len()).map(is_kept).collect();
     drop_small_components(&surface.keep(&keep))

@@ -73,7 +73,10 @@ impl Default for SurfaceSettings {
             ray_weight: 1.0,
             sigma_factor: 1.0,
             behind_sigma: 3.0,
+            // With 5, the value of Labatut et al., a quarter of the surface of `valley` is lost;
+            // from 0.05 to 1.5 it is the same.
             quality_weight: 0.5,
+            // With 2 to 8, the surface of `valley` is the same.
             rays_per_point: 4,
             mesh: None,
             mesh_as_is: false,

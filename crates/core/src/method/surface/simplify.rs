@@ -39,6 +39,7 @@ pub fn simplify(
     let mut mesh = EdgeCollapse::new(surface, targets);
     // A rejected collapse may become valid after its neighbourhood has changed, hence rounds.
     while !mesh.is_done() && mesh.collapse_round(watcher)? > 0 {}
+    // Some edges may be short still: holes shrink to three sides, which no collapse can close.
     Ok(mesh.finish())
 }
 
@@ -284,10 +285,13 @@ impl EdgeCollapse {
     fn sides(&self, corner: u32, rings: &[Vec<u32>; 2]) -> Option<usize> {
         let is_border = |c: u32| self.opposite[c as usize] == BORDER;
         if is_border(corner) {
+            // The last triangle of a part would vanish.
             let is_last = is_border(next(corner)) && is_border(prev(corner));
             return (!is_last).then_some(1);
         }
         let (a, b) = self.ends(corner);
+        // An inner edge between border vertices would pinch the surface, one of a tetrahedron fold
+        // it.
         let both_border = self.is_border[a as usize] && self.is_border[b as usize];
         let is_tetrahedron = rings[0].len() == 3 && rings[1].len() == 3;
         (!both_border && !is_tetrahedron).then_some(2)

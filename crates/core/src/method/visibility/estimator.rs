@@ -142,6 +142,8 @@ impl<'a> Estimator<'a> {
         settings: &VisibilitySettings,
         edge_length: f64,
     ) -> Self {
+        // Of the scene's edges, not the triangle's: from 0.02 to 0.5 of them, precision and recall
+        // change by at most 0.002 on `statue`, `room` and `valley`.
         let length = settings.tolerance_edges * edge_length;
         Self {
             scene,

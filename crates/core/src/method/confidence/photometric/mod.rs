@@ -58,6 +58,8 @@ impl Photometric {
     /// common patch.
     pub fn chance(&self, agreement: u8) -> f64 {
         match correlated(agreement) {
+            // Curves of angle, scale, incidence and contrast on top raise the area under the ROC
+            // curve from 0.91 to 0.93 on seven sets, but save no maps and forecast no better.
             Some(correlation) => {
                 self.differ
                     + (self.agree - self.differ) * (correlation / self.full_agreement).min(1.0)

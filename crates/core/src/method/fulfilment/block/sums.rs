@@ -46,6 +46,7 @@ impl Kernel for SumsWith<'_, '_> {
         let mut sums = vec![[0.0; LANES]; self.added.len()];
         for group in self.judges.iter() {
             let key = &self.block.keys[group];
+            // Once for all that are added, so that each costs one addition, whatever k is.
             let base = self.block.together(self.base, group);
             for (&partner, sum) in self.added.iter().zip(&mut sums) {
                 let with = base.with(&self.block.columns[partner][group]);

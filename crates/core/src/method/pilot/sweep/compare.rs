@@ -137,6 +137,7 @@ impl Row {
     #[inline(always)]
     fn find(&mut self, line: &Line, (partner, quads): (&Thumbnail, &[u32]), inside: &mut [f32]) {
         let width = inside.len();
+        // Slices of one length: without checks of bounds, the loop is compiled for vectors.
         let (at, right, down) = (
             &mut self.at[..width],
             &mut self.right[..width],
@@ -147,6 +148,7 @@ impl Row {
         let partner_width = partner.camera.width as u32;
         for x in 0..width {
             let [u, v] = line.pixel(x as f32);
+            // Clamped, so that each pixel loads something; `inside` takes it out again.
             let (cu, cv) = (u.max(0.0).min(most_x), v.max(0.0).min(most_y));
             inside[x] = if cu == u && cv == v { 1.0 } else { 0.0 };
             let (left, top) = (cu as i32, cv as i32);

@@ -259,6 +259,8 @@ impl<'a> Search<'a> {
         let mut slot = 0;
         while slot < 4 {
             let node = &self.nodes[index as usize];
+            // The augmentation of an arc before may have freed the node or moved it to another
+            // level.
             if node.tree != tree || node.level + 1 != level {
                 break;
             }
@@ -412,6 +414,7 @@ impl<'a> Search<'a> {
             let other = &self.nodes[beyond.cell() as usize];
             if other.tree == tree && other.level < lowest.0 {
                 lowest = (other.level, slot as u8);
+                // Levels never fall, so that no neighbour is nearer than this one.
                 if other.level + 1 == node.level {
                     break;
                 }
