@@ -100,6 +100,7 @@ fn cut_at(
 /// Returns the axis of the longest side and the coordinate of that rank along it; `None` if no cut
 /// separates the points.
 fn cut(points: &mut [Point3<f64>], rank: usize) -> Option<(usize, f64)> {
+    // Of the points, not of the tile, whose sides may be infinite.
     let axis = longest_axis(points.iter());
     let (_, median, _) = points.select_nth_unstable_by(rank, |a, b| a[axis].total_cmp(&b[axis]));
     let at = median[axis];

@@ -298,6 +298,7 @@ impl CountedPlaces {
         finished: &dyn Fn(ViewIndex) -> Option<FinishedPart<'f>>,
     ) -> FulfilmentTable {
         let row = |(c, cluster): (usize, &ViewCluster)| {
+            // At the other size, a finished map is not measured.
             let places = match finished(cluster.key) {
                 Some((scale, places)) if scale == size => places,
                 _ => self.places.of_view(cluster.key),

@@ -123,6 +123,7 @@ impl<'a> Cost<'a> {
         }
         let (cluster, scale) = (self.ranking.order[rank] as usize, self.ranking.scales[rank]);
         let [full, half] = self.tables.work[cluster];
+        // The times that are set are those of full size.
         let size = if scale == MapScale::Half {
             half / full
         } else {
@@ -254,6 +255,7 @@ fn expected_pixels(model: &Model, cluster: &ViewCluster, slots: &mut BlockSlots)
     );
     let partners: Vec<usize> = (0..cluster.partners.len()).collect();
     let chances =
+        // Nothing is chosen here, so that no triangle need judge.
         Block::new(model, cluster.key, &cluster.partners, |_| false, slots).chances(&partners);
     let pixels = |(&triangle, chance): (&u32, f32)| {
         let corners = model

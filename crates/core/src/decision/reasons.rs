@@ -112,6 +112,7 @@ impl<'a> Reasons<'a> {
 
     fn few_partners(&self, cluster: usize, k: u32) -> Option<Reason> {
         let ViewCluster { key, partners } = &self.clusters[cluster];
+        // A model of few views has no k others.
         let possible = (k as usize).min(self.model.scene.views.len() - 1);
         (partners.len() < possible).then(|| self.main_refusal(*key))
     }
@@ -134,6 +135,7 @@ impl<'a> Reasons<'a> {
     }
 
     fn no_cluster(&self, view: ViewIndex) -> Reason {
+        // First what keeps a view out whatever it sees.
         if self.without_image.binary_search(&view).is_ok() {
             Reason::NoImage
         } else if self.kept_for_tests.binary_search(&view).is_ok() {

@@ -221,6 +221,7 @@ impl SceneArrays {
         }
         let rotation = Matrix3::from_fn(|r, c| pose[4 * r + c]);
         let error = (rotation * rotation.transpose() - Matrix3::identity()).amax();
+        // A reflection has R Rᵀ = I, too.
         if error > ROTATION_TOLERANCE || rotation.determinant() < 0.0 {
             return Err(ArraysError::Rotation {
                 row,
@@ -243,6 +244,7 @@ impl SceneArrays {
             let pixel = self.pixel(row, &scene, view, point)?;
             observed.extend(pixel.map(|pixel| (point, view, row, pixel)));
         }
+        // By row last: a view may observe a point twice.
         observed.sort_unstable_by_key(|&(point, view, row, _)| (point, view, row));
         for (point, view, _, pixel) in observed {
             scene.track_offsets[point + 1] += 1;

@@ -325,6 +325,7 @@ impl Scene {
         let mut scene = self.clone();
         scene.points.iter_mut().for_each(|x| *x -= origin);
         for pose in scene.views.iter_mut().map(|view| &mut view.cam_from_world) {
+            // R x + t = R (x - origin) + (t + R origin).
             pose.translation += pose.rotation * origin;
         }
         scene
@@ -355,6 +356,7 @@ impl ViewPoints {
         let distinct = |p: PointIndex| {
             let track = scene.track_views(p);
             (0..track.len())
+                // Views ascend within a track, so that those that occur twice are side by side.
                 .filter(move |&i| i == 0 || track[i] != track[i - 1])
                 .map(move |i| (track[i].index(), p))
         };

@@ -248,6 +248,7 @@ pub fn table(
         || BlockSlots::new(model),
         of_cluster,
         |batch, rows| {
+            // The pages that each batch reads would add up to the whole tables.
             model.release();
             batch.iter().zip(rows).try_for_each(|(cluster, f)| {
                 table.push(model.visibility.triangles_seen_by(cluster.key), &f)
@@ -288,6 +289,7 @@ fn uncertainty(model: &Model, views: impl Iterator<Item = ViewIndex>, triangle: 
         .map(|view| information(model, view, triangle))
         .sum::<Matrix3<f64>>();
     // The largest eigenvalue of the inverse is the reciprocal of the smallest of the matrix.
+    // Rounding may make that of a singular sum negative.
     let smallest = information.symmetric_eigenvalues().min().max(0.0);
     (model.target.accuracy(triangle) * smallest.sqrt()).min(1.0)
 }

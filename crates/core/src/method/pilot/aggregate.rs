@@ -81,6 +81,7 @@ impl Aggregation {
         self.start.resize(stride, 0);
         for along in &mut self.along {
             along.clear();
+            // The borders spare a test at the first and the last plane.
             along.resize(stride, NEVER);
         }
         for (above, least) in self.above.iter_mut().zip(&mut self.least) {

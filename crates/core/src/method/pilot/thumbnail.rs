@@ -170,12 +170,14 @@ fn pinhole(scene: &Scene, view: ViewIndex) -> Option<Pinhole> {
         return None;
     }
     let [width, height] = size(camera);
+    // By axis, because both sides of a thumbnail are rounded.
     let [sx, sy] = scale(camera);
     let (focal, centre) = camera.pinhole_part();
     Some(Pinhole {
         width,
         height,
         focal: [focal.x * sx, focal.y * sy],
+        // Here the centre of the first pixel is (0, 0), in the model (0.5, 0.5).
         centre: [centre.x * sx - 0.5, centre.y * sy - 0.5],
         pose: scene.view(view).cam_from_world,
     })

@@ -189,6 +189,7 @@ impl MapAreas {
         surface: &Surface,
         watcher: &dyn Watcher,
     ) -> Result<Vec<TriangleSamples>, RegionError> {
+        // Once per vertex: within a triangle, the projection is as good as linear.
         let vertices: Vec<[f64; 2]> = surface
             .vertices
             .par_iter()

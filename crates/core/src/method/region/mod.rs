@@ -310,6 +310,8 @@ fn solid_sample(
 fn sampled(at: impl FnMut([f64; 2]) -> Option<RegionProperties>) -> TriangleSamples {
     let (mut sum, mut gsd, mut is_touched, mut covered) = (0.0, f64::INFINITY, false, 0u8);
     for wish in sample_places().filter_map(at) {
+        // Also by areas of weight 0, which tells a region without weight from one beside the
+        // surface.
         is_touched = true;
         covered += u8::from(wish.weight > 0.0);
         sum += wish.weight;

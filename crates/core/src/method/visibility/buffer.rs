@@ -453,6 +453,7 @@ fn clip(triangle: [Vector3<f64>; 3], near: f64) -> ([Vector3<f64>; 4], usize) {
         }
         if (a.z > near) != (b.z > near) {
             polygon[n] = a + (b - a) * ((near - a.z) / (b.z - a.z));
+            // Rounding may have left it nearer.
             polygon[n].z = near;
             n += 1;
         }
@@ -576,6 +577,7 @@ fn most<T: PartialOrd>(a: T, b: T) -> T {
 fn first_centre(x: f64, size: usize) -> i32 {
     let x = (x - 0.5).max(0.0).min(size as f64);
     let down = x as i32;
+    // `ceil` of a number that is not negative, without a call.
     down + i32::from(f64::from(down) < x)
 }
 

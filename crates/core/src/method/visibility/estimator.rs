@@ -277,6 +277,7 @@ impl<'a> Estimator<'a> {
                 count += 1;
             }
         }
+        // Candidates come patch by patch; bits give them in ascending order without a sort.
         let triangles = bits::take(&mut seen, count);
         picture.seen = seen;
         triangles

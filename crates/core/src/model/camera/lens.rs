@@ -69,6 +69,7 @@ impl Lens {
         let plane = self.base.to_plane(x)?;
         let (warped, jacobian) = match self.warp {
             Warp::None => return Some(self.pixel(&plane)),
+            // With the Jacobian, since tangential terms may fold the image within the radial limit.
             warp => warp.apply_with_jacobian(&plane),
         };
         self.in_field(&plane, &jacobian)

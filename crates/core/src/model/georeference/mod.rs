@@ -79,6 +79,7 @@ impl Georeference {
     /// they do not agree.
     pub fn fitted(centres: &[Vector3<f64>], positions: &[Geodetic]) -> Option<Self> {
         let middle = positions.get(positions.len() / 2)?;
+        // Relative to one of them: earth-centred coordinates have seven digits before the point.
         let (centre, axes) = (middle.to_ecef(), middle.east_north_up());
         let local: Vec<Vector3<f64>> = positions
             .iter()
@@ -122,6 +123,7 @@ impl Georeference {
     pub fn metres_per_unit(&self) -> Option<f64> {
         match self {
             Self::Local => None,
+            // A rotation times the scale.
             Self::Fitted { axes, .. } => Some(axes.determinant().abs().cbrt()),
             Self::Ecef | Self::EastNorthUp { .. } | Self::Utm { .. } => Some(1.0),
         }

@@ -146,6 +146,7 @@ pub(super) fn compared(
         first: geometry.visibility.rows(key).start,
         places,
     };
+    // Chunks of 0 would panic for a view that sees nothing.
     let rows = values.chunks_exact_mut(seen.len().max(1));
     for (&partner, values) in partners.iter().zip(rows) {
         picture.compare(partner, &reach_of(partner), values);

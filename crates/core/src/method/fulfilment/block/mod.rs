@@ -119,6 +119,7 @@ impl Projected {
         let jacobian = jacobian * pose.rotation.matrix();
         let scale = jacobian.norm();
         let cosine = -normal.dot(&ray) / ray.norm();
+        // The lanes hold the reciprocal of the scale, which must be finite, too.
         let is_usable = scale > 0.0 && (scale + scale.recip()).is_finite() && cosine.is_finite();
         is_usable.then_some(Self {
             ray,
@@ -286,6 +287,7 @@ impl<'a> Block<'a> {
             .of_pair(self.key, self.partners[partner])
         {
             PairAgreement::NoPicture => return None,
+            // Not expected to match (method 7.4): the chances stay 0.
             PairAgreement::NoCandidate => {}
             PairAgreement::Compared(values) => {
                 for (&value, &slot) in values.iter().zip(&self.slots) {

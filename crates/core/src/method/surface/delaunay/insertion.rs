@@ -117,6 +117,7 @@ fn facet_beyond(cells: &[[u32; 4]], cell: &[u32; 4], index: usize) -> Facet {
 impl<'a> Construction<'a> {
     fn new(sites: &'a mut [Site], simplex: [u32; 4]) -> Self {
         let infinite = sites.len() as u32 - 1;
+        // Points of a surface or a volume have six to seven cells each.
         let expected = 7 * sites.len();
         let mut construction = Construction {
             sites,
@@ -192,6 +193,7 @@ impl<'a> Construction<'a> {
     /// it strictly outside.
     fn locate(&self, site: &Site) -> u32 {
         let mut cell = self.last;
+        // A walk goes through finite cells; the last insertion may have ended with an infinite one.
         if self.cells[cell as usize].vertices[3] == self.infinite {
             cell = self.cells[cell as usize].neighbours[3].cell();
         }
@@ -209,6 +211,7 @@ impl<'a> Construction<'a> {
             // with any choice (Edelsbrunner 1990).
             let beyond = (0..4).map(|i| (i + cell as usize) & 3).find(|&i| {
                 let [u, v, w] = FACET_VERTICES[i].map(|k| corners[k]);
+                // The walk came through facet `entered`, so that the site is not beyond it.
                 i != entered && orient(u, v, w, site) > 0
             });
             let Some(index) = beyond else { return cell };

@@ -120,6 +120,7 @@ impl Delaunay {
         }
         let grid = Grid::around(points);
         let (mut sites, vertex_of_point) = order::sorted_sites(points, &grid, watcher)?;
+        // The vertex at infinity, which `insertion` numbers like a site.
         sites.push(Site::default());
         let (dimension, cells, free) = insertion::triangulate(&mut sites, watcher)?;
         sites.pop();

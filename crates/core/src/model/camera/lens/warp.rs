@@ -47,6 +47,7 @@ impl Warp {
                 tangential: [extra[2], extra[3]],
                 ..Brown::radial(&extra[..2])
             }),
+            // In OpenCV's order, the tangential p1 and p2 come between k2 and k3.
             FullOpenCv => Self::Brown(Brown {
                 tangential: [extra[2], extra[3]],
                 denominator: [extra[5], extra[6], extra[7]],
