@@ -183,6 +183,7 @@ impl Site {
 
     fn is_near_outline(&self, point: &Point3<f64>) -> bool {
         self.cell_of(point)
+            // Beyond the grid it is beyond the outline, too.
             .is_none_or(|(column, row)| self.near[row * self.columns + column])
     }
 }

@@ -243,6 +243,7 @@ fn mean_over(
         _ => None,
     };
     inside.unwrap_or_else(|| {
+        // It projects, or the view would not see the triangle.
         let centroid = place(surface.centroid(triangle)).unwrap_or_default();
         shares.cell(
             cell(centroid.x, shares.columns),

@@ -80,6 +80,7 @@ fn angle_deg(cosine: f64) -> f64 {
 
 /// Returns the share of the points relative to which the views do not move.
 fn still_share(cosines: &[f64]) -> f64 {
+    // By cosines, so that points need no acos.
     let still = STILL_DEG.to_radians().cos();
     cosines.iter().filter(|&&c| c > still).count() as f64 / cosines.len() as f64
 }

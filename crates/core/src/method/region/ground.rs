@@ -117,6 +117,7 @@ impl GroundPlane {
         wanted: [f64; 2],
         project: impl Fn(&Point3<f64>) -> [f64; 2],
     ) -> [f64; 2] {
+        // By differences: the projection may lead to degrees, whose derivatives are not at hand.
         let step = 0.01 * self.reach;
         let here = project(&self.at(at));
         let along = |beside: [f64; 2]| {
@@ -381,6 +382,7 @@ impl Photographed<'_> {
             watcher.check()?;
             let gsd = properties.gsd.unwrap_or(self.gsd);
             let seen = on_surface.get(grid.cell(place));
+            // Where no view sees the surface, the plane of the ground decides.
             let seen = seen.filter(|seen| **seen != Photographs::default());
             let has_surface = seen.is_some();
             let Photographs { fine, coarse } = seen
@@ -439,6 +441,7 @@ impl Photographed<'_> {
     /// Counts the photographs into which a place projects. `wanted`: as [`GroundCell::gsd`].
     fn of(&self, place: &Point3<f64>, wanted: f64) -> Photographs {
         let mut photographs = Photographs::default();
+        // Whether something hides the place is not known: there is no surface around it.
         for view in self.scene.view_indices().filter(|&view| self.counts(view)) {
             let camera = self.scene.camera_of(view);
             let pose = &self.scene.view(view).cam_from_world;
@@ -458,6 +461,7 @@ impl Photographed<'_> {
 impl Photographs {
     /// Returns whether one with a ground sampling distance is too coarse, where another is wanted.
     fn is_coarse(gsd: f64, wanted: f64) -> bool {
+        // In the comparison alone, NaN would count as fine.
         gsd.is_nan() || gsd > COARSEST * wanted
     }
 }
@@ -546,6 +550,7 @@ impl Grid {
             for column in self.centres_within(&bounds, 0, self.columns) {
                 let cell = row * self.columns + column;
                 let centre = self.centre(cell);
+                // From inside a triangle a ray crosses one side, from outside none or two.
                 if edges.iter().filter(|edge| crosses(**edge, centre)).count() == 1 {
                     each(cell);
                 }

@@ -216,6 +216,7 @@ pub fn capacities(
 fn with_quality(delaunay: &Delaunay, quality: &[[u32; 4]], c: usize, votes: Votes) -> Capacities {
     let facet = |i: usize| {
         let beyond = delaunay.cells[c].neighbours[i];
+        // 1 - min(cos φ, cos ψ) of method 1.2 is the larger of the two.
         let worse = quality[c][i].max(quality[beyond.cell() as usize][beyond.index()]);
         votes.facets[i]
             .load(Ordering::Relaxed)
@@ -274,6 +275,7 @@ impl Ballot {
                 &(at - towards * (self.behind_sigma * self.sigma / length)),
                 ray.first(),
             );
+            // The cells on the way get nothing, only that in which it ends.
             behind.by_ref().for_each(drop);
             cast(&self.votes[behind.cell() as usize].sink, self.full as u32);
         }

@@ -146,6 +146,7 @@ impl Part<'_> {
         let is_flat = thickness <= NO_SPREAD * length;
         match self.settings.kind {
             SurfaceChoice::Terrain => true,
+            // Points in a plane have no cells to carve.
             SurfaceChoice::Carved => is_flat,
             SurfaceChoice::Auto => {
                 is_flat || thickness < self.wanted.everywhere() || points < MIN_CARVED_POINTS

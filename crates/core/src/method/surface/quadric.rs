@@ -61,6 +61,7 @@ impl Quadric {
         let square = xx * x.x * x.x + yy * x.y * x.y + zz * x.z * x.z;
         let mixed = xy * x.x * x.y + xz * x.x * x.z + yz * x.y * x.z;
         let linear = self.b[0] * x.x + self.b[1] * x.y + self.b[2] * x.z;
+        // Rounding may leave less than 0, and costs are compared by their bits.
         (square + 2.0 * (mixed + linear) + self.c).max(0.0)
     }
 

@@ -86,6 +86,7 @@ impl Patches {
         let (first_vertex, first_triangle) = (self.vertices.len(), self.corners.len());
         self.corners.extend(corners);
         self.vertices
+            // Copied, so that a view reads the vertices of a patch in one piece.
             .extend(used.iter().map(|&v| surface.vertices[v as usize]));
         let own = &self.vertices[first_vertex..];
         let (low, high) = bounds(own.iter());

@@ -142,6 +142,7 @@ impl Base {
             Base::Perspective => Some(plane.push(1.0)),
             Base::Equidistant => {
                 let theta = r2.sqrt();
+                // On the axis it would be 0 / 0.
                 let sinc = if theta > 1e-8 {
                     theta.sin() / theta
                 } else {
