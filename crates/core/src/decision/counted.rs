@@ -361,7 +361,7 @@ impl Weighing<'_> {
         let by_triangle = (self.rule.objective, predicted);
         self.objective(by_triangle, sum, |place| {
             // Chances of independent maps, more worth for a third map, and a product with f give
-            // worse orders on seven sets of OpenMVS.
+            // worse orders in the clouds of OpenMVS on seven sets.
             let sure = match self.places.agreement[place] {
                 Agreement::Single => 0.0,
                 Agreement::Two => TWO_FOR_ORDER,

@@ -248,7 +248,7 @@ fn rank_at_prices(
     let rankings = prices
         .par_iter()
         .map(|&price| steps.run(|| at_price(price))?);
-    // In the order of the prices, on any number of threads.
+    // Rayon keeps the order of the prices, which decides between equals.
     let best = rankings.try_reduce_with(|a, b| Ok(a.or_better(b)));
     let best = best.transpose()?;
     steps.end();

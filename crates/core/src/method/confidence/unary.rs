@@ -74,9 +74,9 @@ impl Unary {
     /// most all of them.
     pub fn of_points(observed: Column<u8>, around: u8) -> Self {
         let share = |number: usize| (number as f32 / f32::from(around)).min(1.0);
-        // On `valley`, `sgm` measures 0.54 right where the key view observes none of the eight
-        // points, and 0.92 where it observes more than a quarter; with 4 to 32 points, orders
-        // hardly differ.
+        // On `valley`, the share that `sgm` measures right is 0.54 where the key view observes none
+        // of the eight points, and 0.92 where it observes more than a quarter. With 4 to 32 points,
+        // orders hardly differ.
         let levels = std::array::from_fn(|number| UNOBSERVED + (1.0 - UNOBSERVED) * share(number));
         Self {
             observed,

@@ -274,7 +274,7 @@ pub fn exp2(x: f32) -> f32 {
     ];
     /// Adding this constant rounds to an integer, which appears in the lowest bits.
     const ROUND: f32 = 12_582_912.0;
-    // From -127 on the bits of the exponent would wrap around to a huge number.
+    // Below -127 the bits of the exponent would wrap around to infinity.
     let x = if x > -125.0 { x } else { -125.0 };
     let whole = x + ROUND;
     let rest = x - (whole - ROUND);

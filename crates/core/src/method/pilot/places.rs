@@ -151,7 +151,7 @@ impl Places {
                 part.place = new.unwrap_or_default();
                 new.is_some()
             });
-            // The memory is what they are thinned out for.
+            // They are thinned out for the memory, which the lists would keep.
             parts.shrink_to_fit();
         }
         retain(&mut self.centres, sampled);

@@ -74,7 +74,6 @@ impl Objective {
         let sum: f64 = raw.iter().sum();
         let weights = raw
             .into_iter()
-            // A region beside the surface gives every triangle the weight 0.
             .map(|w| if sum > 0.0 { w / sum } else { 0.0 })
             .collect();
         Self {

@@ -144,8 +144,8 @@ impl<'a> Reached<'a> {
         let largest = &mut self.largest[triangle as usize * m..][..m];
         largest.copy_within(1..place, 0);
         largest[place - 1] = f;
-        // f_m itself, not whether it is above some f: with 0.3, plans promise 6 to 25 points more
-        // than clouds of OpenMVS cover.
+        // f_m itself, without a threshold: with one of 0.3, plans promise 6 to 25 points more than
+        // clouds of OpenMVS cover.
         let weight = self.objective.weights[triangle as usize];
         // The difference of rounded values, not a rounded difference: the sum stays that of the
         // triangles, whatever the order in which clusters came.

@@ -243,7 +243,7 @@ impl Ballot {
         Self {
             votes: cells.map(|_| Votes::default()).collect(),
             full: settings.ray_weight * units,
-            // Points are rounded to the grid, and a sigma of 0 would make votes NaN.
+            // Points are rounded to the grid, and with a sigma of 0 a vote could be NaN.
             sigma: (rays.sigma * settings.sigma_factor).max(delaunay.step()),
             behind_sigma: settings.behind_sigma,
         }

@@ -355,6 +355,7 @@ impl EdgeCollapse {
 
     /// Adds what is known of a vertex to another, into which it is merged.
     fn absorb(&mut self, into: u32, removed: u32) {
+        // Above that of either, so that all candidates of both are stale.
         let stamp = self.stamps_of(into, removed).wrapping_add(1);
         let (into, removed) = (into as usize, removed as usize);
         self.corner_of[removed] = BORDER;

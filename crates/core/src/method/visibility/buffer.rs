@@ -64,6 +64,7 @@ impl Face {
             return cube(&CUBE);
         }
         let (rays, missing) = field(camera);
+        // A plane grows with the tangent of the angle, without bound towards 90°.
         if rays.iter().any(|r| r.z < WIDE.to_radians().cos()) {
             return cube(&CUBE[..5]);
         }
@@ -472,6 +473,7 @@ fn fill(face: &Face, triangle: u32, corners: [Vector3<f64>; 3], visit: &mut impl
         return;
     }
     let plane = DepthPlane::new(corners, area);
+    // Whichever way it faces: surface hides from behind, too.
     let [d, e, f] = if area > 0.0 { [a, b, c] } else { [c, b, a] };
     let sides = [Side::new(&d, &e), Side::new(&e, &f), Side::new(&f, &d)];
     for row in first_centre(low_y, face.height)..end_centre(high_y, face.height) {

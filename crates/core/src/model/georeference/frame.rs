@@ -147,6 +147,7 @@ fn down_in_images(scene: &Scene, longest: &Vector3<f64>) -> Option<Vector3<f64>>
             .map(|v| v.cam_from_world.rotation.matrix().row(axis).transpose())
             .sum()
     };
+    // Images turned all ways, whose tops cancel each other, say nothing of up.
     let below_images = mean_axis(1).try_normalize(0.5 * count);
     let ahead = mean_axis(2).try_normalize(ONE_DIRECTION * count);
     let upon = ahead.filter(|ahead| ahead.dot(longest).abs() < ALONG);

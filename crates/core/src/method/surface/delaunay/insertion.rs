@@ -354,6 +354,7 @@ impl<'a> Construction<'a> {
                 count += usize::from(fresh);
                 label
             });
+            // In place of the vertices, which the cells have already.
             self.boundary[facet].vertices = labels.map(|l| l as u32);
             let [u, v, w] = labels;
             let cell = self.removed[facet];
