@@ -122,6 +122,7 @@ impl Key {
 }
 
 fn definition() -> Value {
+    // Inlined: behind a reference, `collect` would find no properties of a section.
     let settings = SchemaSettings::draft2020_12().with(|s| s.inline_subschemas = true);
     settings
         .into_generator()
@@ -159,6 +160,7 @@ fn key(name: String, schema: &Map<String, Value>, default: &Value) -> Key {
             .map(String::from)
     };
     let number = |attribute: &str| schema.get(attribute).and_then(Value::as_f64);
+    // The largest u32 is a limit of the type, which would only clutter the list of settings.
     let max = number("maximum").filter(|&max| max != f64::from(u32::MAX));
     Key {
         name,

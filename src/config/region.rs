@@ -53,6 +53,7 @@ impl FromStr for RegionChoice {
                 .all(|word| word.trim().parse::<f64>().is_ok());
         match parse_box(text) {
             Some(corners) => Ok(Self::Box(corners)),
+            // Numbers alone are a mistyped box, although a file could have that name.
             None if text.is_empty() || is_list => Err(RegionChoiceError(text.into())),
             None if text == AUTO => Ok(Self::Auto),
             None => Ok(Self::File(text.into())),

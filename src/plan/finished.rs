@@ -119,6 +119,7 @@ impl PlannedView {
         let camera =
             Camera::new(1, model, (*width).into(), (*height).into(), params.clone()).ok()?;
         let [w, x, y, z] = self.rotation;
+        // The file may be damaged or edited: a quaternion of length 0 is no rotation.
         let rotation = UnitQuaternion::try_new(Quaternion::new(w, x, y, z), f64::MIN_POSITIVE)?
             .to_rotation_matrix();
         Some((

@@ -57,6 +57,7 @@ pub fn positions_in_images(project: &Project, scene: &Scene) -> (Vec<Vector3<f64
     let Some(folder) = project.images.as_ref() else {
         return Default::default();
     };
+    // Spread over all images: the first 300 may be of one flight line, which fixes no rotation.
     let step = scene.views.len().div_ceil(MOST_POSITIONS).max(1);
     let views: Vec<&View> = scene.views.iter().step_by(step).collect();
     let position = |view: &&View| {

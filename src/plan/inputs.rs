@@ -91,6 +91,7 @@ impl<'a> Inputs<'a> {
         confidence.fill_in(&mut settings.confidence);
         let without_image = image_faults.without_image(scene.views.len());
         if matcher.makes_maps {
+            // Lists of test images are for trainers: depth maps are made of all images.
             scene.tests.clear();
         }
         let kept_for_tests = scene.kept_for_tests(settings.test_every, &without_image);
@@ -301,17 +302,21 @@ fn in_force(
         None => GSD_MARGIN * image_gsd.ok_or(PlanError::NoScale)? / all.image_scale(),
     };
     all.target.accuracy.get_or_insert(gsd);
+    // By the settings as given: in `all`, the accuracy is set by now.
     all.target.mode = all
         .target
         .mode
         .in_force(settings.target.gsd.or(settings.target.accuracy).is_some());
     all.target.gsd = Some(gsd);
+    // With fewer candidates than k, no view could have k partners.
     all.partners.candidates = all.partners.candidates.max(all.partners.k);
     all.partners.gate = matcher.numbers.gate.with(&all.partners.gate).settings();
     all.ranking.support.get_or_insert(matcher.numbers.support);
     let source = all.confidence.source.in_force(project.images.is_some());
     all.confidence.source = source;
     if all.partners.k == 1 {
+        // A single partner and the key view are two cameras: with three wanted, nothing would
+        // count.
         all.coverage.min_cameras = 2;
     }
     let cut = &mut all.cut;

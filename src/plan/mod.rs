@@ -83,6 +83,7 @@ impl Plan {
         watcher: &dyn Watcher,
     ) -> Result<Self, PlanError> {
         let mut timings = Timings::start();
+        // Checked before anything is read: the ranking would refuse it only after all the work.
         if settings.cut.time.is_some() && matcher.makes_maps && !settings.forecast.knows_times() {
             return Err(DecisionError::NoTimes.into());
         }
@@ -103,6 +104,7 @@ impl Plan {
         watcher: &dyn Watcher,
     ) -> Result<Self, PlanError> {
         let stages = Stages::run(project, scene, settings, matcher, &mut timings, watcher);
+        // A stranger's project may name any file of the user's: errors must not show its contents.
         let may_quote = |file: &Path| settings.may_quote(file, &project.named);
         let stages = stages.map_err(|error| error.quoting(may_quote))?;
         let decision = decide(&stages, &FinishedClusters::default(), &mut timings, watcher)?;

@@ -165,6 +165,7 @@ impl Stages {
                 work,
                 ..self.tables
             },
+            // That of the earlier plan is of other clusters.
             known_ranking: None,
             ..self
         }
@@ -392,6 +393,7 @@ impl Found {
         work: &[[f64; 2]],
     ) -> Filed<Option<UncutRanking>> {
         let Self { wanted, predicted } = self;
+        // The fingerprint of the pilot's file covers that of the clusters.
         let from = pilot_file.unwrap_or(&predicted.clusters.file);
         let factors = wanted.region.as_ref().map(|region| &region.factors[..]);
         let file = inputs.fingerprints.ranking(

@@ -106,6 +106,7 @@ pub(super) fn surface_and_candidates(
     };
     let watcher = run.watcher;
     let search = CandidateSearch::new(scene, points, &settings.partners, &limits, watcher);
+    // Always replaced: the scope waits for the job.
     let mut surface = Err(Cancelled.into());
     // Parts of the surface are built by one thread, and the others find candidates meanwhile.
     // Called from outside the thread pool, these jobs wait in its queue, where threads look only

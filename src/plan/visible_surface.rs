@@ -79,6 +79,7 @@ impl VisibleSurface {
         let most = memory.most_triangles();
         let (surface, stats) = timings.time(Stage::Surface, || {
             let wanted = match settings.target.mode {
+                // Here g_d differs from place to place, and edges follow it (method 1.5).
                 TargetMode::Best => {
                     WantedGsd::finest(scene, gsd, GSD_MARGIN / settings.image_scale())
                 }

@@ -55,6 +55,7 @@ pub fn warnings(stages: &Stages, decision: &Decision, finished: &FinishedMaps) -
         let has_said_so = little.is_some();
         warnings.extend(little);
         warnings.extend(unconfirmed(stages, cut));
+        // The warning that little is reached has the band already.
         warnings.extend((is_unsure && !has_said_so).then(|| unsure(&cut.reachable_band)));
     }
     warnings.extend(more_than_all(stages));
@@ -70,6 +71,7 @@ pub fn warnings(stages: &Stages, decision: &Decision, finished: &FinishedMaps) -
         format!("{more} more depth {maps} cannot be read")
     }));
     warnings.extend(tiled(stages));
+    // Warnings quote names from the model, each of which may have megabytes.
     let short = warnings.iter().map(|warning| shortened(warning));
     short.map(Cow::into_owned).collect()
 }

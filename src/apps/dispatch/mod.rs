@@ -106,6 +106,8 @@ impl Tools {
             });
         }
         let wanted = wanted.map_or_else(|| name.into(), |named| dispatch.program.named(named));
+        // A bare name is otherwise looked for on the PATH alone, but who types a file's name means
+        // it.
         let typed = named.filter(|path| path.is_file()).map(absolute);
         let program = typed.or_else(|| platform::located(&wanted).map(|found| absolute(&found)));
         let program = program.ok_or(DispatchError::Program {
@@ -165,6 +167,7 @@ impl Dispatch {
         output::refuse_to_leave(&plan.project.home, &export.files.root)?;
         let mut dispatch = Self::new(backend, &selection, &export, plan.finished)?;
         if cut != plan.cut {
+            // Each task reads the plan by itself, and must find as many ranks in it.
             dispatch.choice += &format!(" --budget {cut}");
         }
         Ok((dispatch, export))
@@ -421,6 +424,7 @@ impl Dispatch {
     ) -> Result<(), DispatchError> {
         let name = format!("viewrank/dispatch/{}", backend.name);
         match output::open_own(&project.home, &format!("{name}/lock")) {
+            // Shared, so that two that only look do not take each other for a run.
             Ok(lock) if matches!(lock.try_lock_shared(), Err(TryLockError::WouldBlock)) => {
                 Err(DispatchError::Busy(project.home.join(name)))
             }
@@ -432,6 +436,7 @@ impl Dispatch {
     pub fn is_fused(&self) -> bool {
         let done = self.done_ids();
         done.is_empty()
+            // The record stays where somebody has removed the cloud.
             || self.own_text("fused") == done && self.runner.clouds_there().next().is_some()
     }
 

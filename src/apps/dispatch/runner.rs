@@ -75,6 +75,7 @@ impl Dispatch {
         let Some(_no_script) = self.without_script(runner)? else {
             return Ok(TaskResult::Stopped);
         };
+        // Whoever held the lock may have made it meanwhile.
         if self.is_done(task) {
             return Ok(TaskResult::Idle);
         }
@@ -100,6 +101,7 @@ impl Dispatch {
             let message = format!("{} was not written", task.map.display());
             return Ok(TaskResult::Failed(message));
         }
+        // Last: a map without a mark is made again, one with a mark counts.
         output::make_folder(&self.marks(), &disk)?;
         output::replace(&mark, format!("{}\n", task.id).as_bytes(), &disk)?;
         Ok(TaskResult::Done)
@@ -173,6 +175,7 @@ impl Dispatch {
         if self.is_fused() {
             return Ok(TaskResult::Idle);
         }
+        // Before the run: maps that are finished during it may be missing in the cloud.
         let fused = self.done_ids();
         let ended = self.run(Product::Cloud, "", true, runner)?;
         if ended == TaskResult::Done {
@@ -240,6 +243,7 @@ impl Dispatch {
         command
             .args(&words[1..])
             .env(self.program.variable, &runner.tools.program)
+            // A program that asks something would wait for an answer that nobody gives.
             .stdin(Stdio::null())
             // The current folder may be a stranger's.
             .current_dir("/");
@@ -265,6 +269,7 @@ impl Runner<'_> {
     fn ended(&self, command: &mut Command) -> io::Result<(TaskResult, String)> {
         let mut output = None;
         if self.owner == Owner::Viewrank {
+            // A file, because a pipe that nobody reads stops the program when it is full.
             let file = tempfile::tempfile()?;
             command.stdout(file.try_clone()?).stderr(file.try_clone()?);
             platform::in_own_group(command);
@@ -301,6 +306,7 @@ fn tail(output: &mut File) -> io::Result<String> {
     let mut bytes = Vec::new();
     output.read_to_end(&mut bytes)?;
     let text = String::from_utf8_lossy(&bytes);
+    // The first line was cut, maybe within a character.
     let whole = if start > 0 {
         text.split_once('\n').map_or(&*text, |(_, whole)| whole)
     } else {

@@ -124,6 +124,7 @@ impl SlurmQueue {
                 .find_map(|line| line.strip_prefix(name)?.split('=').nth(1));
             value?.trim().parse().ok()
         };
+        // MaxArraySize counts index 0, too. At least 1 stays: ranks are divided by it.
         queue.max_index = number("MaxArraySize").unwrap_or(MAX_ARRAY_SIZE).max(2) - 1;
         queue.max_jobs = number("MaxJobCount").unwrap_or(MAX_JOB_COUNT);
         Ok(queue)
@@ -232,6 +233,7 @@ impl SlurmQueue {
             .map(Step::Array)
             .collect();
         let more_comes = !steps.is_empty() || !self.tasks.is_empty();
+        // A fusion that has started misses the maps that are still to come.
         let will_be_fused = self
             .fusions
             .iter()
@@ -304,6 +306,7 @@ impl SlurmQueue {
                 command.extend(
                     settings
                         .time
+                        // SLURM takes whole minutes, and 0 for no limit at all.
                         .map(|time| format!("--time={}", (time.0 / 60.0).ceil().max(1.0))),
                 );
                 command.extend(settings.gpus.map(|gpus| format!("--gres=gpu:{gpus}")));
@@ -406,6 +409,7 @@ pub fn submit<E: From<DispatchError>>(
         for step in &steps {
             let command = queue.command(&request, step, &submission.jobs);
             let answer = run(&command)?;
+            // Where several clusters are managed together, sbatch prints `JOB;CLUSTER`.
             let job = answer
                 .trim()
                 .split(';')

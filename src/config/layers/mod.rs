@@ -176,6 +176,8 @@ impl Configuration {
         metres: &dyn Fn(&Settings) -> Option<f64>,
     ) -> Result<Self, ConfigError> {
         let of_project = || [&files.root, &files.project].into_iter().flatten();
+        // Errors quote the file, and a stranger's link may lead to any. The user's own may well be
+        // a link.
         let linked: Vec<&PathBuf> = of_project().filter(|file| leads_away(file)).collect();
         Self::merged(files, typed, backend, metres)
             .map_err(|error| error.without_words_of(|path| linked.contains(&path)))
@@ -228,6 +230,7 @@ impl Configuration {
         let mut table = Table::new();
         let mut places = BTreeMap::new();
         for entry in entries {
+            // Each by itself: in the merged table, an error has no file and line.
             check(&entry, backend)?;
             insert(&mut table, &entry.key, entry.value);
             places.insert(entry.key, entry.place);
@@ -329,6 +332,7 @@ const METRES: [(&str, f64); 5] = [
     ("cm", 0.01),
     ("dm", 0.1),
     ("km", 1000.0),
+    // Last, because the others end with it.
     ("m", 1.0),
 ];
 
@@ -422,6 +426,7 @@ fn read(path: &Path) -> Result<Vec<Entry>, ConfigError> {
             why: error.message().replace('\n', ", "),
         }
     };
+    // Parsed twice: `Value` has no positions, and `DeTable`, which has them, no plain values.
     let values: Value = toml::from_str(&text).map_err(syntax)?;
     let mut entries = Vec::new();
     collect(
@@ -621,6 +626,7 @@ fn type_error(key: &Key, error: &toml::de::Error) -> String {
     if key.words.is_empty() {
         let message = error.message().lines().next().unwrap_or_default();
         let kinds = [
+            // serde names types of Rust, such as u32, which say little to who writes the file.
             ("expected u", "must be a whole number"),
             ("expected f", "must be a number"),
             ("expected a bool", "must be true or false"),

@@ -70,6 +70,7 @@ impl TypedSetting {
 
     /// As it is written for a project, which can be moved with the files in it.
     pub fn written_in(&self, root: &Path) -> Self {
+        // With `..` in it, the rest of a path that begins with the folder may lead out again.
         let is_inside = |path: &Path| path.components().all(|c| matches!(c, Component::Normal(_)));
         let inside = PathValue::new(&self.key, &self.value).and_then(|named| {
             let inside = named.path.strip_prefix(root).ok()?;
@@ -111,6 +112,7 @@ impl fmt::Display for TypedSetting {
         };
         let option = option_of(&self.key).unwrap_or(&self.key);
         let value = match &self.value {
+            // The option alone says the value: `--no-gps` is frame.gps = false.
             Value::Boolean(_) => return f.write_str(option),
             Value::Array(members) => members.iter().map(word).collect::<Vec<_>>().join(","),
             value => word(value),

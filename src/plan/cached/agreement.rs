@@ -65,6 +65,7 @@ fn inputs<'p>(
     hash_geometry(&mut hasher, geometry);
     for view in geometry.scene.view_indices() {
         let partners = partners_of(view);
+        // The length first: else a partner could pass from one view's list to the next unnoticed.
         hasher.update(&partners.len().to_le_bytes());
         partners
             .iter()
@@ -116,8 +117,10 @@ fn table<'p>(
         };
         *without = true;
     }
+    // The file has no offsets: they follow from the candidates and the views without a picture.
     let mut table = Agreement::laid_out(geometry, partners_of, &without);
     let mut left = table.len();
+    // In blocks, not whole: where visibility is on disk, this table has no room in memory either.
     let mut values = ColumnBuilder::new(geometry.visibility.triangles.storage())?;
     let mut block = vec![0; BLOCK];
     while left > 0 {

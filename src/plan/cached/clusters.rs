@@ -56,6 +56,7 @@ fn pack_table(
     clusters: &[ViewCluster],
     visibility: &Visibility,
 ) -> Option<()> {
+    // Fulfilled triangles are a part of those seen, in the same order: a bit each, not four bytes.
     let mut bits = Vec::new();
     for (i, cluster) in clusters.iter().enumerate() {
         let seen = visibility.triangles_seen_by(cluster.key);
@@ -67,6 +68,7 @@ fn pack_table(
                 bits[start + place / 8] |= 1 << (place % 8);
             }
         }
+        // A triangle that the key view does not see has no bit, so such a table is not cached.
         fulfilled.next().is_none().then_some(())?;
     }
     packer.list(&bits);
@@ -142,6 +144,7 @@ fn unpack_table(
             .zip(fulfilled)
             .map(|(into, (_, triangle))| *into = *triangle)
             .count();
+        // Bits beyond the last triangle count in `lengths` but fill nothing: the file is damaged.
         (filled == into.len()).then_some(())
     };
     rows.into_par_iter()

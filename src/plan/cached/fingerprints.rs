@@ -69,6 +69,7 @@ impl<'a> Fingerprints<'a> {
         let hasher = match mesh {
             None => Some(hasher),
             Some(Ok(bytes)) => Some(add_parts(hasher, &[&bytes])),
+            // Nothing is cached then; reading the mesh again says what is wrong with it.
             Some(Err(_)) => None,
         };
         CacheFile::new(self.home, "viewrank/cache/surface.table", hasher)
@@ -88,6 +89,7 @@ impl<'a> Fingerprints<'a> {
             );
             for view in inputs.scene.view_indices() {
                 let name = inputs.scene.name(view);
+                // Only the image: masks play no part in which of two views is the sharper one.
                 add(&mut hasher, &inputs.pictures.stamps(name)?[0]);
             }
             Some(hasher)
@@ -207,6 +209,7 @@ impl<'a> Fingerprints<'a> {
     ) -> CacheFile {
         let inputs = || {
             let mut hasher = self.of_results(&[clusters.inputs()?]);
+            // Places depend on the support only in whether those of single maps are among them.
             add(&mut hasher, &(support == 1));
             for view in scene.view_indices() {
                 add(&mut hasher, &pictures.stamps(scene.name(view))?);

@@ -110,6 +110,7 @@ impl ResultFile {
             .file
             .inputs()
             .and_then(|_| pack())
+            // Longer contents would be written, then refused whenever they are read.
             .filter(|(_, packed)| length(packed) <= FileKind::State.limit());
         Some(match packed {
             Some((facts, packed)) => self.file.file(&facts, packed),

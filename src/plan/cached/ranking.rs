@@ -95,6 +95,7 @@ fn fits(known: &UncutRanking, triangles: usize) -> bool {
         known.area_shares.len(),
     ];
     lengths == [ranks; 5]
+        // Pixels are counted only up to the longest cut that any plan has asked for.
         && known.pixels.len() <= ranks
         && [known.triangle_reasons.len(), known.border.len()] == [triangles; 2]
 }

@@ -39,6 +39,7 @@ pub(super) fn pack(
     if visibility.triangles.storage() == Storage::Disk {
         return None;
     }
+    // A row ascends, so most gaps take one byte where an index takes four.
     let gaps = |view| {
         let mut bytes = Vec::new();
         push_gaps(visibility.triangles_seen_by(view), &mut bytes);

@@ -91,6 +91,8 @@ impl Basis {
             picture,
             pilot: where_true(
                 has_pilot,
+                // Thumbnails and maps are gone when places are ranked; a thread decodes or matches,
+                // not both.
                 of_places.max(of_all + threads * of_one.max(picture)),
             ),
             redrawn: !makes_maps,

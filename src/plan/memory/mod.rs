@@ -128,11 +128,14 @@ impl Memory {
             basis.limit,
         ) && held + SURFACE_PER_POINT * points > limit.0
         {
+            // The finished surface stays in memory while tiles are built.
             let tile = limit.0.saturating_sub(finished) / SURFACE_PER_POINT / OVERLAP;
             settings.surface.tile_points =
+                // If the limit is too low even for these tiles, the check below refuses it.
                 Some(u32::try_from(tile.max(LEAST_TILE)).unwrap_or(u32::MAX));
         }
         let at_once = match (&settings.surface.mesh, settings.surface.tile_points) {
+            // A given mesh takes no cells, rays and cut.
             (Some(_), _) => 0,
             (None, Some(tile)) => points.min(OVERLAP * u64::from(tile)),
             (None, None) => points,
@@ -217,10 +220,12 @@ impl Memory {
         let buffer =
             visibility::picture_pixels(scene, settings) * BUFFER_PIXEL + ROW_INDEX * triangles;
         let rows = Rows::expected(scene, surface);
+        // Twice the surface: the triangles that are seen are copied out of it.
         let drawing = self.read + 2 * bytes(surface) + PER_POINT * points + threads * buffer;
         let held = self.outside_tables(scene, surface);
         let basis = &self.basis;
         if basis.fits(drawing + VISIBILITY_ROW * rows.all)
+            // Later tables are stored as visibility is, so they have to fit as well.
             && basis.fits(held + basis.in_memory(rows, triangles))
             && basis.fits(held + basis.row * rows.all + basis.pilot)
         {
@@ -286,6 +291,7 @@ impl Memory {
             .unwrap_or(1);
         self.confidence = self.confidence.max(need(views_at_once));
         self.check_limit(MASKS, need(views_at_once))?;
+        // A thread reads one mask at a time: where all have room, larger batches take no more.
         Ok(if views_at_once == threads {
             column::READ_AT_ONCE
         } else {
@@ -321,6 +327,7 @@ impl Memory {
         let need = |views: u64| {
             held + (views + views.min(threads)) * of_view + views.min(threads) * picture
         };
+        // Bounded by memory too, but at least a view for each thread.
         let most = (MOST_SAMPLES / of_view.max(1)).clamp(threads, VIEWS_PER_THREAD * threads);
         let most = most
             .min(column::READ_AT_ONCE as u64)

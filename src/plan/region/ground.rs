@@ -246,6 +246,7 @@ pub fn ground_without_surface(
         surface: None,
     };
     Ok(region.footprint(&frame).and_then(|area| {
+        // The only error is a cancellation, which does not happen here.
         Ground::new(&area, &photographed, &frame, &NoWatcher)
             .ok()
             .flatten()

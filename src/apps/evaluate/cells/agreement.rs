@@ -113,6 +113,8 @@ impl<'a> ThinnedMaps<'a> {
     fn points_first_seen_by(&self, own: usize, used: &mut [Vec<bool>]) -> CloudPart {
         let rows = (0..self.maps[own].map.height.div_ceil(BLOCK)).into_par_iter();
         let points = rows.map(|row| self.points(own, row, used));
+        // Found in parallel among pixels that earlier maps left, then taken in order: the same
+        // cloud on any number of threads.
         let points: Vec<Vec<AgreedPoint>> = points.collect();
         let mut part = CloudPart::default();
         for AgreedPoint { mean, mut joined } in points.into_iter().flatten() {
@@ -207,6 +209,7 @@ impl Thinned<'_> {
         let ray = (z > 0.0)
             .then(|| self.camera.ray(&self.position(pixel)))
             .flatten()?;
+        // Depths are along the axis, not along the ray.
         (ray.z > 0.0).then(|| self.world(ray.into_inner() * (z / ray.z)))
     }
 

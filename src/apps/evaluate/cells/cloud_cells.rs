@@ -62,6 +62,7 @@ impl CloudCells {
                 .par_iter()
                 .map(|point| gsd.octave(point))
                 .collect();
+            // Not in parallel: the first point of a cube is the centre of its cell.
             for (point, octave) in part.points.iter().zip(octaves) {
                 if let Some(octave) = octave {
                     found.add((octave, cube(point, octave)), point);
@@ -83,6 +84,7 @@ impl CloudCells {
             let blocks = blocks_around(position);
             pairs.extend(blocks.map(|block| ((octave, block), cell)));
         }
+        // The hash table's order differs from run to run.
         pairs.sort_unstable();
         let mut blocks: HashMap<Cube, Range<u32>> = HashMap::new();
         for (at, &(block, _)) in (0..).zip(&pairs) {
@@ -121,7 +123,9 @@ impl CloudCells {
             }
             Ok(())
         })?;
+        // Sorted, so that the file of the table is the same each time.
         let mut rows: BTreeMap<&[u64], [u32; 2]> = BTreeMap::new();
+        // Without maps, rows have no words, and chunks of 0 would panic.
         for (row, &agreeing) in maps.chunks_exact(words.max(1)).zip(&agreeing) {
             let counts = rows.entry(row).or_default();
             counts[0] += 1;
@@ -268,6 +272,7 @@ fn block(cube: [i64; 3]) -> [i64; 3] {
 
 /// Returns the blocks in which a cube or a neighbour of it is.
 fn blocks_around(position: [i64; 3]) -> impl Iterator<Item = [i64; 3]> {
+    // Positions of far points saturate at the ends of i64.
     let ends = position
         .map(|position| [-1, 1].map(|step| position.saturating_add(step).div_euclid(BLOCK)));
     let blocks = |axis: usize| ends[axis][0]..=ends[axis][1];

@@ -271,6 +271,7 @@ impl Incidence {
         let head = lines
             .next()
             .ok_or((1, "the names of the maps are missing"))?;
+        // Counted before any is copied: a line of tabs alone would become gigabytes of names.
         if head.split('\t').take(views + 1).count() > views {
             return Err((1, "more maps than views of the model"));
         }

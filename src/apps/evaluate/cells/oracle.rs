@@ -45,6 +45,7 @@ fn greedy(table: &Incidence, counted: CountedCells, credit: u64) -> Vec<u32> {
     }
     let mut left = table.usable();
     left.retain(|&map| !choice.has[map as usize]);
+    // The sort is stable: ties stay by index.
     left.sort_by_key(|&map| Reverse(choice.gains[map as usize]));
     order.extend(left);
     order
