@@ -133,6 +133,7 @@ fn overlaps(inputs: &Inputs, view: ViewIndex) -> (ViewIndex, Vec<Overlap>) {
     let nearer =
         |a: &(f64, ViewIndex), b: &(f64, ViewIndex)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
     if others.len() > NEAREST {
+        // Linear, where a full sort for each of n views would take n² log n.
         others.select_nth_unstable_by(NEAREST, nearer);
         others.truncate(NEAREST);
     }

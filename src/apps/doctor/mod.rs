@@ -169,6 +169,7 @@ pub fn examine(
             images: &project.image_faults(scene),
         })
     };
+    // Stable: within a severity the order of the checks stays.
     findings.sort_by_key(|finding| std::cmp::Reverse(finding.severity));
     Diagnosis {
         version: 1,
@@ -264,6 +265,7 @@ fn traps(inputs: &Inputs) -> Vec<Finding> {
                 .iter_mut()
                 .find(|f| f.check == trap.name && f.what == trap.what)
             {
+                // The planned backend is the first, so a trap that others share has its severity.
                 Some(same) => same.backends.push(backend.name),
                 None => {
                     let finding =

@@ -75,6 +75,7 @@ impl Hint for MatcherReportError {
 /// of single tasks replace those of `report.json`.
 pub fn read_report(folder: &Path, scene: &Scene) -> Result<Report, MatcherReportError> {
     let mut report = read_file(folder.join("report.json"), scene)?;
+    // Sorted: where two rows are of one key view, the same one counts on every disk.
     let rows = WalkDir::new(folder.join("rows"))
         .sort_by_file_name()
         .into_iter()

@@ -124,6 +124,7 @@ impl MeasuredSurface {
             .iter()
             .map(|m| m.map_or(0, Missing::number))
             .collect();
+        // Below one half the reason has the colour, so the scale begins there.
         let done = |f: f32| {
             [200.0, 225.0, 205.0]
                 .map(|c: f32| (c - (c - 90.0) * (2.0 * f - 1.0).clamp(0.0, 1.0)) as u8)
@@ -193,6 +194,7 @@ impl Best {
         };
         let cluster = &run.matched[cluster];
         let f = fulfilment::value(model, cluster.key, &cluster.partners, triangle);
+        // Tables hold only f > 0, so this divides by no 0.
         let confidence = f64::from(self.real / self.attainable);
         Some(if confidence <= f.resolution.min(f.uncertainty) {
             Missing::MatchingFailed

@@ -73,6 +73,7 @@ fn best_first<S>(
     let mut order = Vec::with_capacity(clusters);
     while !left.is_empty() {
         let gains = left.iter().map(|&c| gain(&state, c as usize));
+        // Not `swap_remove`: the order of the rest decides ties.
         let cluster = left.remove(first_largest(gains));
         take(&mut state, cluster as usize);
         order.push(cluster);

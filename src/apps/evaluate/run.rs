@@ -304,6 +304,7 @@ impl EvaluationInput<'_> {
         let scene = self.model.scene;
         let map = match depthmaps::read_of_view(map, scene) {
             Ok(map) => map,
+            // A fault of the whole model, which must not pass for one unreadable file.
             Err(error @ DepthMapError::Distorted { .. }) => return Err(error.into()),
             Err(error) => return Ok(Err(error)),
         };
@@ -423,6 +424,7 @@ impl EvaluationInput<'_> {
             Some(Attempt::new(
                 t,
                 measured.pixels[row],
+                // Rounding may put a sure triangle above 1.
                 (f / without).min(1.0),
                 measured.shares[row],
             ))

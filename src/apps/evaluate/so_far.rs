@@ -174,6 +174,7 @@ impl<'a> PlaceRecord<'a> {
             let left = (f64::from(shown.agreed(place as u32)) - measured).max(0.0);
             so_far += weight * measured;
             all += weight * measured;
+            // Both are copies of one number, so equality is exact.
             let own = chances.iter().position(|of| *of == self.chance[place]);
             if let Some(own) = own.filter(|_| left > 0.0) {
                 all += weight * left * self.completed(place, distributions[own]);
@@ -212,6 +213,7 @@ impl<'a> PlaceRecord<'a> {
         // As if half a map more had kept what it could, so that not all is lost if none has.
         let before = (0.5 * tried / f64::from(self.maps.max(1))).max(1.0);
         let mean = (kept + chance * before) / (tried + before);
+        // A single trial is equally likely under every number of trials.
         counts.retain(|[_, tried], _| *tried > 1);
         let likelihood = |trials: f64| -> f64 {
             let [alpha, beta] = [mean * trials, (1.0 - mean) * trials];

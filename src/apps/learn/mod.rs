@@ -140,6 +140,7 @@ impl Lesson<'_> {
     ) -> Result<Outcomes, TrainError> {
         let model = &self.model;
         let map = depthmaps::read_of_view(file, model.scene)?;
+        // Any accuracy will do: without a reference none counts.
         let measured = measure(model, cluster.key, map, None, 0.0, None);
         let agreement: Option<Vec<(ViewIndex, &[u8])>> = cluster
             .partners

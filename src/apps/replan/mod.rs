@@ -177,6 +177,7 @@ pub fn replan(
         }
     }
     let other_sizes = other_sizes_in_words(&plan.stages, &other_sizes);
+    // First, since only the first few are shown, and this one is about many maps.
     finished.unreadable.splice(0..0, other_sizes);
     finished.outdated.sort_by(|a, b| a.key.cmp(&b.key));
     let run = match clusters.as_slice() {
@@ -247,6 +248,7 @@ fn with_finished(
     watcher: &dyn Watcher,
 ) -> Result<(Stages, Vec<(u32, MapScale)>), PlanError> {
     stages.memory.before_beliefs(&stages.fulfilment)?;
+    // By key view: clusters are looked up by binary search.
     let mut rows: BTreeMap<ViewIndex, Rows> = BTreeMap::new();
     for (c, cluster) in stages.clusters.iter().enumerate() {
         rows.entry(cluster.key).or_default().planned = Some(c);
@@ -264,6 +266,7 @@ fn with_finished(
     let fulfilment = believed(&stages.fulfilment, MapScale::Full)?;
     let half = match &stages.half {
         Some(half) => Some(believed(half, MapScale::Half)?),
+        // A plan for one size may still find maps of half the size that an earlier plan asked for.
         None if run.scales.contains(&MapScale::Half) => {
             let nothing = FulfilmentTable::new(stages.clusters.iter().map(|_| []));
             Some(believed(&nothing, MapScale::Half)?)
@@ -307,6 +310,7 @@ fn believed(
     let mut table = FulfilmentTableBuilder::like(&stages.visibility)?;
     for &Rows { finished, planned } in rows {
         match (finished, planned) {
+            // Without a cluster in this plan there is no prediction of the other size.
             (Some(c), planned) if run.scales[c] == size || planned.is_none() => {
                 let (triangles, values) = run.real.row(c);
                 table.push(triangles, values)?;
@@ -352,6 +356,7 @@ fn look(
         unreadable,
         ..
     } = depthmaps::list_preferring(maps.folder, &plan.stages.scene, maps.known)?;
+    // A map that is still being written cannot be read either.
     let ready = unreadable
         .into_iter()
         .filter(|(path, _)| (maps.ready)(path));
@@ -443,6 +448,8 @@ impl MapCheck<'_> {
             Ok(hash) => hash,
             Err(error) => return MapVerdict::Unreadable(format!("{}: {error}", self.path())),
         };
+        // The earlier plan has recorded the new poses: compared with these, the map would seem to
+        // fit.
         if let Some(outdated) = self.earlier.outdated(self.key, &hash) {
             return MapVerdict::Outdated { outdated, hash };
         }

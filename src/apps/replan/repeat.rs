@@ -125,9 +125,11 @@ fn predicted(
 ) -> Result<(Project, Plan, RecordedPlan), RepeatError> {
     let mut settings = recorded.settings.clone();
     if settings.backends.is_empty() {
+        // The default depends on what is installed, which may have changed since.
         settings.backends.push(recorded.backend.clone());
     }
     if recorded.own_size {
+        // Recorded as it was in force: only where it is unset is it the backend's own again.
         settings.image_scale = None;
     }
     // Checked before the long computation, even though this reads the model twice.
