@@ -174,6 +174,7 @@ impl Hint for PlanError {
                 significant(*images)
             )
             .into(),
+            // Less than fits, since the three digits that are shown may be rounded up.
             Self::LargeCamera { fits, .. } => format!(
                 "give the images, look for a wrong camera, or set image_scale = {} in viewrank.toml",
                 significant(0.99 * fits)

@@ -205,6 +205,7 @@ impl Wanted {
         let (region, ground) = steps::region(inputs, &twins, &seen, &shown, run)?;
         let target = target(inputs, seen.gsd, &shown, region.as_ref());
         let objective = objective(inputs, &seen.surface, &shown, region.as_ref());
+        // The steps before have read all of it; the pages of a table on disk would stay in memory.
         seen.visibility.triangles.release();
         large_pages::return_freed_memory();
         Ok(Self {

@@ -82,6 +82,7 @@ pub(super) fn surface_and_candidates(
     let left_out = inputs.left_out();
     let PlanningNumbers { reach, gate, .. } = inputs.matcher.numbers;
     let gate = gate.with(&settings.partners.gate);
+    // Programs without a reach differ by their gates alone, and share cached candidates.
     let program = reach.map(|_| inputs.matcher.name);
     let file = inputs
         .fingerprints
@@ -349,6 +350,7 @@ impl Step for ClustersStep<'_> {
             rule,
             ..
         } = &self.model;
+        // An empty table changes no cluster, whatever it was made from.
         let compared = if agreement.is_empty() {
             Some("")
         } else {

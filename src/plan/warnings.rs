@@ -92,6 +92,7 @@ pub fn unlikely_gsd(
     metres: Option<f64>,
 ) -> Option<String> {
     let (gsd, target) = (image_gsd?, settings.target.gsd?);
+    // Of the matched images, as the wanted one is.
     let ratio = target / (gsd / settings.image_scale());
     let than = match ratio {
         ratio if ratio < 1.0 / WANTED_RATIO => format!("{:.0} times finer", 1.0 / ratio),

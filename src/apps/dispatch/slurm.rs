@@ -218,6 +218,7 @@ impl SlurmQueue {
         let is_outdated = |task: &QueuedTask| task.pending && task.plan != plan;
         let outdated = self.tasks.iter().any(is_outdated);
         let waiting = self.tasks.iter().any(|task| task.pending);
+        // Missing ranks would start behind those that wait: all are queued again, in rank order.
         let cancels = if reached {
             waiting
         } else {

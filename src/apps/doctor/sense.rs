@@ -46,6 +46,7 @@ pub fn of_images(inputs: &Inputs) -> Vec<Finding> {
 fn points(inputs: &Inputs) -> Option<Finding> {
     let mut tracks =
         (0..inputs.scene.points.len() as u32).map(|p| inputs.scene.track_views(PointIndex(p)));
+    // The views of a track ascend: both ends are one view only if all are.
     let is_shared = tracks.any(|views| views.first() != views.last());
     // A model without any is a finding of its own, with the remedy for its format.
     let warnings = &inputs.scene.warnings;
@@ -155,6 +156,7 @@ fn cameras(inputs: &Inputs) -> Option<Finding> {
         let (width, height) = (f64::from(camera.width), f64::from(camera.height));
         let field = 2.0 * (0.5 * width / f.x).atan().to_degrees();
         let is_centred = (0.0..=width).contains(&c.x) && (0.0..=height).contains(&c.y);
+        // A lens with distortion may have any field, which its focal length alone does not give.
         let fits =
             !camera.is_pinhole() || FIELD.contains(&field) && (0.2..=5.0).contains(&(f.y / f.x));
         !(fits && is_centred)

@@ -399,6 +399,7 @@ fn weights(plan: &Plan, surface: &DrawnSurface) -> Vec<u8> {
     let most = densities.iter().copied().fold(0.0, f64::max);
     let shade = |&d: &f64| {
         if d > 0.0 {
+            // At least 1: 0 is for triangles that do not count.
             (255.0 + 40.0 * (d / most).log2()).clamp(1.0, 255.0).round() as u8
         } else {
             0
@@ -424,6 +425,7 @@ fn list<T: bytemuck::NoUninit>(values: impl Iterator<Item = T>) -> String {
 
 fn in_frame<'a>(frame: &MapFrame, points: impl Iterator<Item = &'a Point3<f64>>) -> Vec<f32> {
     points
+        // From the middle of the points: as f32, a northing of UTM has steps of half a metre.
         .flat_map(|point| frame.local(point))
         .map(|x| x as f32)
         .collect()

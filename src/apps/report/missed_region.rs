@@ -57,6 +57,7 @@ impl MissedRegion {
         let images = flight::files(&flight, &missing, &frame, &place, metres, &remarks);
         let missed = flight::missed(&ground, &frame, &place, metres, &purpose);
         Some(Self {
+            // A surface was looked for: its share of the region is 0, not unknown.
             summary: GroundSummary::new(&ground, true, needed),
             metres,
             waypoints: flight.waypoints.len(),

@@ -64,6 +64,7 @@ impl DrawnSurface {
     fn in_cubes(surface: &Surface, cube: f64) -> Self {
         let mut number = BTreeMap::new();
         let mut sums: Vec<(Vector3<f64>, f64)> = Vec::new();
+        // Sums are relative to a vertex: those of large coordinates would lose digits.
         let anchor = surface
             .vertices
             .first()
@@ -79,6 +80,7 @@ impl DrawnSurface {
             place as u32
         };
         let cube_of: Vec<u32> = surface.vertices.iter().map(of_vertex).collect();
+        // Sorted, so that a page has the same bytes each time.
         let mut largest: BTreeMap<[u32; 3], ([u32; 3], u32, f64)> = BTreeMap::new();
         for (t, corners) in surface.triangles.iter().enumerate() {
             let triangle = corners.map(|v| cube_of[v as usize]);

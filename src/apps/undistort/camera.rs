@@ -20,6 +20,7 @@ pub fn undistorted(camera: &Camera, options: &UndistortOptions) -> Result<Camera
             centre.y - f64::from(region.top),
         ],
     };
+    // As in COLMAP, a pinhole camera keeps its size.
     if !camera.is_pinhole() || options.roi != UndistortOptions::WHOLE {
         pinhole.fit(&region.borders(camera, &pinhole), options);
     }

@@ -312,6 +312,7 @@ impl<'a> Undistortion<'a> {
             watcher.check()?;
             let name = self.scene.name(view);
             let path = self.images.file(name);
+            // The file itself, where nothing changes: encoded again, it would lose quality.
             let contents = if self.stays(view) {
                 self.images.link(name)
             } else {

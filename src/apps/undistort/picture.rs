@@ -60,6 +60,7 @@ pub fn undistort(
         });
     }
     let mut decoder = picture.open::<UndistortImageError>(PixelBound::LARGEST)?;
+    // Before the pixels, whose decoding consumes the decoder.
     let (exif, profile) = (
         decoder.exif_metadata().ok().flatten(),
         decoder.icc_profile().ok().flatten(),

@@ -199,6 +199,7 @@ impl Configuration {
             entries.extend(project);
         }
         let over = typed.over(&entries);
+        // Before they join the entries, which still say what the files do.
         let typed = typed_settings(&entries, &over);
         entries.extend(over);
         let is_measured = |entry: &Entry| is_length(entry) && entry.value.is_str();

@@ -59,6 +59,7 @@ fn inputs<'p>(
 ) -> Option<blake3::Hasher> {
     let mut hasher = blake3::Hasher::new();
     hasher.update(&serde_json::to_vec(&(VERSION, program, pictures.without_image())).ok()?);
+    // Without a reach, other points on the same surface change nothing.
     if program.is_some() {
         hash_points(&mut hasher, geometry.scene);
     }

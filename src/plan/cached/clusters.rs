@@ -86,6 +86,7 @@ pub fn unpack(bytes: &[u8], visibility: &Visibility, has_half: bool) -> Option<C
     );
     let views = visibility.offsets.rows();
     let are_views = |list: &[u32]| list.iter().all(|&view| (view as usize) < views);
+    // Clusters are looked up by key view in a binary search.
     let ascend = keys.is_sorted_by(|a, b| a < b);
     if !ascend || !are_views(&keys) || !are_views(&partners) || lengths.len() != keys.len() {
         return None;

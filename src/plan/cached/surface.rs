@@ -75,6 +75,7 @@ impl CachedSurface {
         let (triangles, others) = corners.as_chunks::<3>();
         let fits =
             lists.is_at_end() && rest.is_empty() && others.is_empty() && lengths.len() == views;
+        // A surface that no view sees is an error where it is built, never a result.
         if !fits || triangles.is_empty() || !coordinates.iter().all(|x| x.is_finite()) {
             return None;
         }

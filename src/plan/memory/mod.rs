@@ -190,6 +190,8 @@ impl Memory {
             ..
         } = self.basis;
         let threads = rayon::current_num_threads();
+        // Without a limit none of this decides, and a cached surface holds on any number of
+        // threads.
         limit.map(|limit| {
             (
                 limit,

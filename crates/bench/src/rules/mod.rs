@@ -101,6 +101,7 @@ impl<'a> Neighbourhood<'a> {
         for &point in points.observed_by(key) {
             for &view in scene.track_views(point) {
                 let list: &mut Vec<PointIndex> = &mut shared[view.index()];
+                // A view may observe a point twice, one after the other in its track.
                 if view != key && list.last() != Some(&point) {
                     list.push(point);
                 }

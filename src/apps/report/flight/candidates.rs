@@ -56,6 +56,7 @@ pub fn around(plan: &Plan, holes: &[Hole], frame: &MapFrame) -> Vec<Candidate> {
                 let centre = place + direction * distance;
                 let is_new = |other: &Candidate| {
                     (other.centre - centre).norm() > SAME * step
+                        // The cosine of one step of 14°.
                         || other.direction.dot(&-direction) < 0.97
                 };
                 if direction.dot(&frame.axes[2]) >= LOWEST && all.iter().all(is_new) {
@@ -139,6 +140,7 @@ fn places(surface: &Surface, hole: &Hole, step: f64) -> Vec<(Point3<f64>, Vector
 /// Returns the directions from a place to its candidates: along its normal, and tilted by
 /// [`STEP_DEG`] to each of four sides.
 fn directions(normal: &Vector3<f64>, up: &Vector3<f64>) -> [Vector3<f64>; 5] {
+    // Over level ground normal and up are nearly parallel, and their product has no sure direction.
     let side = normal
         .cross(up)
         .try_normalize(0.1)
@@ -162,6 +164,7 @@ fn looking(
         .unwrap_or_else(|| direction.cross(ahead).normalize());
     let down = direction.cross(&right);
     let rows = Matrix3::from_rows(&[right.transpose(), down.transpose(), direction.transpose()]);
+    // The rows are perpendicular unit vectors by construction.
     let rotation = Rotation3::from_matrix_unchecked(rows);
     Pose {
         rotation,

@@ -148,6 +148,7 @@ pub fn choose(
     let clusters = clusters(&extended, candidates, stages.settings.partners.k as usize);
     let table = fulfilment::table(&model, &clusters, watcher)?;
     let mut reached = Reached::new(&objective);
+    // Of all clusters, also beyond the cut: what a longer cut gives needs no new image.
     (0..stages.clusters.len()).for_each(|c| reached.take(stages.fulfilment.row(c)));
     let flown = greedy(&extended, &clusters, &table, reached.clone());
     flown.taken.iter().for_each(|&c| reached.take(table.row(c)));
@@ -245,12 +246,14 @@ fn greedy(
         };
         let value = |(c, cluster): (usize, &ViewCluster)| {
             let (gain, images) = (reached.gain(table.row(c)), cost(cluster));
+            // Not by 0: without new images, too, the larger gain comes first.
             (gain / (images as f64).max(0.01), gain, images, c)
         };
         let best = clusters
             .par_iter()
             .enumerate()
             .map(value)
+            // Ties by index: threads compare equals in any order.
             .max_by(|a, b| a.0.total_cmp(&b.0).then(b.3.cmp(&a.3)));
         let Some((_, gain, images, cluster)) = best else {
             break;

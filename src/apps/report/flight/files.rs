@@ -145,12 +145,14 @@ pub(super) fn collection(features: Vec<Value>, remarks: &str, local: bool) -> St
     let mut collection =
         json!({ "type": "FeatureCollection", "note": notes.join(" "), "features": features });
     if local {
+        // Says that the frame is unknown: without it, GeoJSON is in degrees.
         collection["crs"] = Value::Null;
     }
     json_escaped(&collection.to_string()) + "\n"
 }
 
 fn coordinates(waypoint: &Described, local: bool) -> [f64; 3] {
+    // Nine decimals of a degree are a tenth of a millimetre.
     let digits = if local { [6, 6, 6] } else { [9, 9, 3] };
     [0, 1, 2].map(|i| to_decimals(waypoint.position[i], digits[i]))
 }
@@ -166,6 +168,7 @@ fn kml(all: &[Described], remarks: &str) -> String {
     };
     for (i, w) in all.iter().enumerate() {
         let [longitude, latitude, height] = coordinates(w, false);
+        // KML's tilt is 0 straight down.
         let _ = writeln!(
             text,
             "<Placemark><name>{}</name><description>hole {}: {}; heading {:.1}, pitch {:.1} degrees, {:.1} m above the surface</description>\
@@ -198,6 +201,7 @@ fn csv(all: &[Described]) -> String {
     );
     for (i, w) in all.iter().enumerate() {
         let [longitude, latitude, height] = coordinates(w, false);
+        // In quotes, because what is missing is said with commas.
         let _ = writeln!(
             text,
             "{},{longitude:.9},{latitude:.9},{height:.3},{:.2},{:.1},{:.1},{:.2},{},\"{}\",{}",

@@ -100,6 +100,7 @@ pub fn missed(
     };
     let mut areas = missed_areas(ground);
     let note = format!("{purpose} {}", in_all(&areas, ground.side, metres));
+    // After the note, which says how much is left out here.
     areas.retain(|area| area.cells >= LEAST_CELLS);
     let features: Vec<Value> = areas.into_iter().map(feature).collect();
     let name = if is_local {

@@ -35,6 +35,7 @@ pub fn areas(cells: impl IntoIterator<Item = Place>) -> Vec<Area> {
             rings: rings(&own),
         });
     }
+    // Stable: areas of one size stay in the order of their first cells.
     areas.sort_by_key(|area| Reverse(area.cells));
     areas
 }
