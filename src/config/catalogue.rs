@@ -44,6 +44,7 @@ impl Settings {
     /// # Errors
     /// The first key with its value and why it is refused.
     pub fn check(&self) -> Result<(), String> {
+        // Reading has checked the types, but ranges are in the schema alone.
         let all = serde_json::to_value(self).expect("settings are JSON");
         for key in keys() {
             let value = key

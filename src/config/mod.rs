@@ -111,6 +111,7 @@ impl Settings {
     /// Returns whether errors may quote the mesh or the region: it is in the project, which may be a
     /// stranger's, or the user has named it, by no link of the project.
     pub fn may_quote(&self, file: &Path, project: &Path) -> bool {
+        // A path below the project that ends outside of it goes through one of its links.
         let is_through_project = || {
             absolute(file)
                 .ancestors()

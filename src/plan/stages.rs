@@ -290,6 +290,7 @@ impl Found {
         let mut picture_warnings = predicted.unary.result.warnings;
         picture_warnings.extend(agreement.warnings.iter().cloned());
         let rule = inputs.rule();
+        // Pictures that could not be compared after all count as missing from here on.
         let without_image = sorted(inputs.without_image, &agreement.rejected);
 
         let seen = wanted.seen.result;

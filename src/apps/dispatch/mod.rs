@@ -181,6 +181,7 @@ impl Dispatch {
         export: &Export,
         finished: usize,
     ) -> Result<Self, DispatchError> {
+        // A plan for another program may have that one's image size.
         let selection = &backend.at_its_size(selection);
         let project = absolute(&selection.project.home);
         let Some(Tasks { program, runner }) = backend.tasks else {

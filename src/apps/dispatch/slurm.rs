@@ -257,6 +257,7 @@ impl SlurmQueue {
             submission
                 .commands
                 .push(self.command(&request, cancel, &[]));
+            // As scancel would leave the queue: it takes away only what has not started.
             self.tasks.retain(|task| !task.pending);
             self.fusions.retain(|&(_, pending)| !pending);
             steps = self.steps(dispatch, missing, reached);

@@ -37,6 +37,7 @@ pub fn findings(inputs: &Inputs) -> Vec<Finding> {
     let views_where = |wrong: fn(&Overlap) -> bool| -> Vec<ViewFinding> {
         let mostly = |(_, found): &&(ViewIndex, Vec<Overlap>)| {
             let bad = found.iter().filter(|overlap| wrong(overlap)).count();
+            // Of most neighbours: a single one may itself be the view in a wrong place.
             bad > 0 && 2 * bad > found.len()
         };
         let words = |(view, found): &(ViewIndex, Vec<Overlap>)| {
@@ -120,6 +121,7 @@ fn overlaps(inputs: &Inputs, view: ViewIndex) -> (ViewIndex, Vec<Overlap>) {
     }
     let scene = inputs.scene;
     let centre = scene.view(view).cam_from_world.centre();
+    // Views without points share none with anybody, which says nothing against their neighbours.
     let mut others: Vec<(f64, ViewIndex)> = scene
         .view_indices()
         .filter(|&v| v != view && !inputs.points.observed_by(v).is_empty())

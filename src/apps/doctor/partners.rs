@@ -109,6 +109,7 @@ fn count_partners(
     for (other, shared) in neighbours(scene, points, view) {
         let pair = PairGeometry::new(scene, view, other, &shared);
         let is_shown = has_image(&view) && has_image(&other);
+        // Before the gate, whose least angle would refuse the pair for a lesser reason.
         let refusal = if pair.has_no_baseline() {
             count.same_position.extend(is_shown.then_some(other));
             Some(Refusal::NoBaseline)

@@ -75,6 +75,7 @@ impl ReachCurve {
     /// Returns the smallest number of first clusters of which fusion keeps at least this weight;
     /// `None` if it keeps less of all of them.
     pub fn clusters_for(&self, kept: f64) -> Option<usize> {
+        // A further cluster never lowers what is kept, so the curve can be bisected.
         let clusters = self.kept.partition_point(|&k| k < kept - ROUNDING);
         (clusters < self.kept.len()).then_some(clusters)
     }

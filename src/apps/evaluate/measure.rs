@@ -167,6 +167,7 @@ impl JudgedPixels {
             let pixel = Pixel::new(camera, map, reference, column, row, triangle != NOTHING);
             let is_right = pixel.add_to(&mut judged.quality, RIGHT_WITHIN * accuracy);
             judged.right[at] = is_right;
+            // What is in front need not count as seen: it may be too oblique, or mostly hidden.
             if let Ok(row) = seen.binary_search(&triangle) {
                 let (pixels, right) = &mut judged.counts[row];
                 *pixels += 1;

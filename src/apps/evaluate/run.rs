@@ -124,6 +124,7 @@ impl MeasuredClusters {
                 Err(error) => broken.push(error),
             }
         }
+        // One map that can be measured is enough to go on: the others are named.
         if clusters.is_empty() {
             return Err(match broken.into_iter().next() {
                 Some(error) => error.into(),

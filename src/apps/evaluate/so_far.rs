@@ -171,6 +171,7 @@ impl<'a> PlaceRecord<'a> {
         for place in 0..self.objective.weights.len() {
             let weight = self.objective.weights[place];
             let measured = f64::from(kept.agreed(place as u32));
+            // Finished maps may keep more of a place than the pilot shows.
             let left = (f64::from(shown.agreed(place as u32)) - measured).max(0.0);
             so_far += weight * measured;
             all += weight * measured;

@@ -197,6 +197,7 @@ impl<'a> Undistortion<'a> {
         let images = project.images.as_ref().ok_or_else(|| {
             UndistortError::NoImages(project.root.clone(), project.where_images_belong())
         })?;
+        // The images would be replaced by what is made of them.
         if paths::is_same(images, &out.join("images")) {
             return Err(UndistortError::OwnImages(images.to_path_buf()));
         }

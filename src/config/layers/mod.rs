@@ -298,6 +298,7 @@ impl Configuration {
         let frame = &self.settings.frame;
         if let Some([latitude, longitude, _]) = frame
             .origin
+            // Longitudes are counted from 0 to 360 as well; eastings and northings are larger.
             .filter(|o| o[0].abs() > 90.0 || o[1].abs() > 360.0)
         {
             let why = "must be latitude, longitude and height".into();

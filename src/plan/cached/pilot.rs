@@ -72,6 +72,7 @@ pub fn unpack(bytes: &[u8], clusters: &[ViewCluster]) -> Option<Places> {
     }
     let part = |view: usize| {
         let row = offsets.row(view);
+        // Where a row ascends, its last place bounds all.
         let ascends = parts[row.clone()].is_sorted_by(|a, b| a < b);
         let last = parts[row.clone()].last();
         let fits = last.is_none_or(|&last| (last as usize) < number);

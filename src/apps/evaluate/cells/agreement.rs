@@ -85,6 +85,7 @@ impl<'a> ThinnedMaps<'a> {
                 camera,
                 pose,
                 frustum: Frustum::new(camera, pose),
+                // At once, because the whole maps have no room together.
                 map: thinned(map, most_depths(files.len(), file.data_bytes())),
             })
         };
@@ -297,6 +298,7 @@ impl FusedPoints for ThinnedMaps<'_> {
             if bytes <= MOST_KEPT {
                 parts.push(part);
             } else {
+                // The first ones alone would be of no use: all have to be found again anyway.
                 parts.clear();
             }
         }

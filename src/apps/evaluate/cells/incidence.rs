@@ -320,6 +320,7 @@ fn read_row(text: &str, maps: usize, taking_part: &mut Vec<u32>) -> Result<[u32;
         return Err("two numbers of cells are expected");
     };
     let hex = words.next().ok_or("the maps are missing")?;
+    // Before any digit is read: somebody else's number may have millions.
     if hex.len() > maps.div_ceil(4).max(1) {
         return Err("more maps than names");
     }

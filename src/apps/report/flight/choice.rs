@@ -52,6 +52,7 @@ impl Extended {
     ) -> Result<Self, VisibilityError> {
         let stages = &plan.stages;
         let has_image = |v: &ViewIndex| stages.without_image.binary_search(v).is_err();
+        // Others are no partners, and the visibility of each view here is computed anew.
         let sees = |v: &ViewIndex| {
             holes
                 .iter()
