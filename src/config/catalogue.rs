@@ -115,6 +115,7 @@ impl Key {
     }
 
     pub(super) fn allows(&self, number: f64) -> bool {
+        // TOML has inf and nan.
         number.is_finite()
             && self.above.is_none_or(|above| number > above)
             && self.min.is_none_or(|min| number >= min)

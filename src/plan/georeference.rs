@@ -25,6 +25,7 @@ pub fn georeference(project: &Project, scene: &Scene, settings: &FrameSettings) 
     let known = from_settings(settings).or_else(|| from_files(project));
     let known = known.or(scene.georeference);
     match known.unwrap_or_else(|| Georeference::from_coordinates(scene)) {
+        // Last, because it opens up to 300 images.
         Georeference::Local if settings.gps => {
             from_images(project, scene).unwrap_or(Georeference::Local)
         }

@@ -178,6 +178,7 @@ impl<'a> Known<'a> {
             Some(_) => None,
             None => Some(Units::Relative),
         });
+        // Before the surface is built, which a wrong file must not wait for.
         let region = shape(&place, scene, &settings)?;
         Ok(Self {
             points,

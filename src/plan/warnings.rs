@@ -245,6 +245,7 @@ fn little_fulfilled(ranking: &Ranking, band: Option<&Band>, lacks_images: bool) 
     } else {
         "a coarser --gsd, more partners (-k) or a --region without the background may give more"
     };
+    // That nothing is reached at all is an error of its own.
     (!ranking.order.is_empty() && given < LITTLE).then(|| {
         format!(
             "all images together can give only {:.0} %{band} of what is wanted, and shares are of that: the report says where and why; {more}",

@@ -274,6 +274,7 @@ impl Dispatch {
     /// Returns what stands before a [`command`](Self::command) in sh, for the variables that the
     /// programs need; empty without any.
     pub fn environment(&self, tools: &Tools) -> String {
+        // A bare name is found on the PATH of each node.
         if !self.runner.takes_python || !tools.python.is_absolute() {
             return String::new();
         }

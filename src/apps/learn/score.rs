@@ -31,6 +31,7 @@ impl Scores {
             .sum();
         let mut ranges = [(0.0f64, 0.0f64); RANGES];
         for &(p, y, w) in &of {
+            // A sure success is in the last range, too.
             let range = &mut ranges[((p * RANGES as f32) as usize).min(RANGES - 1)];
             *range = (range.0 + f64::from(w * p), range.1 + f64::from(w * y));
         }

@@ -118,6 +118,7 @@ impl EarlierPlan {
 
     /// Returns the view as it was when the depth map of `key` was made.
     fn then(&self, key: &str, view: &str) -> Option<&PlannedView> {
+        // A map that was kept when the model changed still fits the poses from before.
         match self.views.made_with.get(key) {
             Some(views) => views.get(view),
             None => self.views.views.get(view),

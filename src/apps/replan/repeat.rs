@@ -138,9 +138,11 @@ fn predicted(
         &project.read_scene().map_err(WrittenPlanError::from)?,
     )?;
     let plan = planning::plan(&project, &settings, watcher)?;
+    // The model may have been replaced while it was planned.
     project
         .refuse_changed_model()
         .map_err(WrittenPlanError::from)?;
+    // Another version may rank otherwise, and must not be shown as the plan in the folder.
     recorded.check_ranking(&plan)?;
     Ok((project, plan, recorded))
 }

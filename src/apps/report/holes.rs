@@ -170,6 +170,7 @@ pub fn holes(plan: &Plan, most: usize) -> Holes {
         .collect();
     largest.sort_by(|a, b| b.area.total_cmp(&a.area));
     largest.truncate(most);
+    // Only of those that may be listed, since each looks through all views.
     largest
         .par_iter_mut()
         .for_each(|hole| hole.seen = seen(plan, hole.deepest));

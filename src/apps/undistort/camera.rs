@@ -84,6 +84,7 @@ impl CropBox {
                 .collect()
         };
         [
+            // COLMAP takes the borders of the image, not of the region, along the region's sides.
             [0.5, width - 0.5].map(|x| along(0, self.top, self.bottom, &|y| [x, y])),
             [0.5, height - 0.5].map(|y| along(1, self.left, self.right, &|x| [x, y])),
         ]

@@ -207,6 +207,7 @@ fn hash_geometry(hasher: &mut blake3::Hasher, geometry: &Geometry) {
         hasher.update(camera.model().name().as_bytes());
     }
     hasher.update(bytemuck::cast_slice(surface.triangles.as_flattened()));
+    // Part by part, so that a table on disk never fills memory.
     for part in visibility.triangles.chunks(BLOCK) {
         hasher.update(bytemuck::cast_slice(part));
         visibility.triangles.release();

@@ -318,6 +318,7 @@ fn hash_of(scene: &Scene) -> Hash {
             );
             add_part(&mut hasher, bytemuck::cast_slice(translation.as_slice()));
         }
+        // In blocks: points are not plain bytes, and one copy of all would double them.
         for part in scene.points.chunks(BLOCK) {
             let coordinates: Vec<f64> = part
                 .iter()

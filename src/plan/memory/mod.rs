@@ -334,6 +334,7 @@ impl Memory {
         let most = most
             .min(column::READ_AT_ONCE as u64)
             .min(scene.views.len() as u64);
+        // With --gsd 0.005 and a limit of 230M, `valley` takes 147 MB of memory this way, not 410.
         let views_at_once = (1..=most)
             .rev()
             .find(|&views| self.basis.fits(need(views)))

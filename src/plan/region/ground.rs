@@ -94,6 +94,7 @@ impl GroundSummary {
         if enough >= ALL {
             return format!("{needed} photographs or more show all of the region.");
         }
+        // A share that would read as 0.0 % is not worth a clause.
         let [unseen, once] = [unseen, seen_once].map(|share| (is_some(share), share));
         let missed = match (unseen, once) {
             ((false, _), (false, _)) => {

@@ -34,6 +34,7 @@ fn angles(hood: &Neighbourhood, view: ViewIndex, points: &[PointIndex]) -> Vec<f
 /// Returns the percentile, interpolated between its two neighbours (COLMAP 3.8 takes the nearer
 /// one).
 fn percentile(angles: &[f64]) -> f64 {
+    // Never empty: only views that share points are asked.
     let rank = PERCENTILE / 100.0 * (angles.len() - 1) as f64;
     let (low, high) = (angles[rank.floor() as usize], angles[rank.ceil() as usize]);
     low + (high - low) * rank.fract()

@@ -71,6 +71,7 @@ impl Choices {
         let words = numbers.len().div_ceil(BITS);
         let mut with_map = vec![0; maps * words];
         for (choice, &number) in numbers.iter().enumerate() {
+            // Infinite for the choice of no map, which takes no step.
             let step = by_name.len() as f64 / number as f64;
             for i in 0..number {
                 let map = by_name[((i as f64 + offset) * step) as usize] as usize;

@@ -65,6 +65,7 @@ pub fn best_of(
 }
 
 fn exchanged(table: &Incidence, counted: CountedCells, mut chosen: Vec<u32>) -> f64 {
+    // The sums to begin with would alone be more work than is allowed.
     if table.entries() >= MOST_EXCHANGED {
         return table.covered(&chosen, counted);
     }
