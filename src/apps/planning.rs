@@ -25,6 +25,7 @@ pub fn undistorted_workspace(
     project: &Project,
     backend: &Backend,
 ) -> Result<Option<Project>, ProjectError> {
+    // Looked for before the scene is read, which takes longer.
     let dense = project.undistorted_workspace();
     let Some(dense) = dense.filter(|_| !backend.takes_distorted) else {
         return Ok(None);

@@ -45,6 +45,7 @@ impl EmptyPlan {
     fn nothing_fulfilled(plan: &Plan) -> Self {
         let views = plan.decision.views.len();
         let cameras = plan.stages.settings.coverage.min_cameras;
+        // Before the reasons of views, none of which says that there are too few.
         if views < cameras as usize {
             return Self::FewImages { views, cameras };
         }

@@ -40,6 +40,7 @@ impl PilotMaps {
     /// Without any map, for one that cannot be read, and for a folder in the project in which a
     /// link leads out of the project, which may be a stranger's.
     pub fn find(folder: &Path, scene: &Scene, project: &Path) -> Result<Self, PlanError> {
+        // Only the user can name one elsewhere.
         if !is_outside(folder, project) {
             refuse_links_out_of(project, folder)?;
         }

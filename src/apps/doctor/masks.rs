@@ -22,6 +22,7 @@ pub fn findings(inputs: &Inputs) -> Vec<Finding> {
         .source
         .in_force(inputs.project.images.is_some())
     {
+        // Masks count through the confidence alone.
         ConfidenceSource::None => return Vec::new(),
         ConfidenceSource::Geometric => ALL_COUNTS,
         ConfidenceSource::Photometric | ConfidenceSource::Auto => NOT_COMPARED,

@@ -58,6 +58,7 @@ fn warnings(inputs: &Inputs) -> Vec<Finding> {
                 "no action needed; this is how the format is read",
             ),
         };
+        // The reader knows the format, and so the better remedy.
         let cure = warning.cure.as_deref().unwrap_or(cure);
         Finding::new(severity, check, &warning.text, cure)
     };

@@ -168,6 +168,7 @@ impl MeasuredClusters {
         if self.scales[cluster] == MapScale::Full {
             return (own.to_vec(), measured.to_vec());
         }
+        // Each row may have triangles that the other one lacks.
         let mut row: BTreeMap<u32, f32> = triangles
             .iter()
             .copied()
@@ -260,6 +261,7 @@ impl EvaluationInput<'_> {
         if found.is_empty() {
             return Err(EvaluateError::NoClusters(self.depth_maps.into()));
         }
+        // Results are looked up by key view in a binary search.
         found.sort_by_key(|map| map.cluster.key);
         Ok((found, without_map))
     }
@@ -339,6 +341,7 @@ impl EvaluationInput<'_> {
             .collect();
         let mut certain = self.model;
         certain.rule.confidence = Confidence::None;
+        // Maps of programs with one size may have any, and count as what was planned.
         let scales = if self.half_worth.is_some() {
             measured.iter().map(|m| m.size.scale).collect()
         } else {
@@ -397,6 +400,7 @@ impl EvaluationInput<'_> {
                 .iter()
                 .zip(values)
                 .map(|(&t, &f)| (t, f * share(t)));
+            // As in all tables, a triangle without f has no entry.
             real.filter(|(_, f)| *f > 0.0).collect()
         };
         FulfilmentTable::new(clusters.iter().enumerate().map(of_cluster))

@@ -76,6 +76,7 @@ pub fn train(
         .collect::<Result<_, _>>()?;
     let outcomes: Vec<Outcomes> = by_map.iter().map(|maps| Outcomes::joined(maps)).collect();
     let parts: Vec<Outcomes> = match &by_map[..] {
+        // Halves of a single scene, so that no map is both fitted to and predicted.
         [maps] => [&maps[..maps.len() / 2], &maps[maps.len() / 2..]]
             .map(Outcomes::joined)
             .into(),

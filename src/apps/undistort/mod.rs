@@ -147,6 +147,7 @@ pub fn undistort(
         watcher.progress(Stage::Undistort, finished as u64, done.images as u64);
     }
     job.remove_batches_from(batches.len(), disk)?;
+    // Any batch that was made anew has removed the model.
     if done.computed > 0 || !job.has_model()? {
         done.kept.extend(job.workspace()?.write(disk)?.kept);
     }
@@ -413,6 +414,7 @@ impl<'a> Undistortion<'a> {
             files.add(format!("sparse/{name}"), Contents::Bytes(bytes));
         }
         let names = || self.scene.views.iter().map(|view| view.name.as_str());
+        // Patch match creates no folders, also none for the sub-folders of names.
         for kind in ["depth_maps", "normal_maps", "consistency_graphs"] {
             for name in names() {
                 let folder = name

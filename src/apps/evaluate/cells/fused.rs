@@ -177,6 +177,7 @@ impl FusedCloud {
         };
         let cloud = Self {
             path: path.into(),
+            // Kept, because the cloud is read twice: for its cells, then for their maps.
             bytes: read(path)?,
             views,
             map_of,

@@ -125,6 +125,7 @@ pub fn incidence(
     cloud: Option<&Path>,
     watcher: &dyn Watcher,
 ) -> Result<(Incidence, CellSource), EvaluateError> {
+    // In the order of the run, by which its curves are read from the table.
     let views: Vec<ViewIndex> = run
         .order
         .iter()
@@ -156,6 +157,7 @@ pub fn judge_plan(
     let incidence = Incidence::read(table, stages.objective.support, stages.scene.views.len())?;
     let known: BTreeSet<&str> = incidence.names().iter().map(String::as_str).collect();
     let is_known = |cluster: &ViewCluster| known.contains(stages.scene.name(cluster.key));
+    // Maps that were not there when the table was made cannot be judged by it.
     let ours: Vec<&ViewCluster> = orders::of_plan(plan).filter(|c| is_known(c)).collect();
     if ours.is_empty() {
         return Err(IncidenceError::Foreign(table.into()).into());
