@@ -116,6 +116,7 @@ impl PlannedView {
             params,
         } = &self.camera;
         let model = CameraModel::from_name(model)?;
+        // Any id will do: the camera is only projected through.
         let camera =
             Camera::new(1, model, (*width).into(), (*height).into(), params.clone()).ok()?;
         let [w, x, y, z] = self.rotation;

@@ -98,6 +98,7 @@ pub fn in_folders(
     reference: Option<&Path>,
 ) -> Result<Vec<Comparison>, Box<dyn Error>> {
     let mut runs = Vec::new();
+    // Sorted, so that the table has the same order on every disk.
     for entry in WalkDir::new(folder).sort_by_file_name() {
         let entry = entry?;
         let Some(choice) = entry

@@ -202,6 +202,7 @@ fn parts(inputs: &Inputs) -> Option<Finding> {
             .map(|(other, _)| other.0)
     };
     let mut components = components(inputs.scene.views.len(), linked);
+    // The largest part counts as the model, and the views of the others are named.
     components.sort_by_key(|members| (std::cmp::Reverse(members.len()), members[0]));
     // Single views are already reported as having too few partners.
     let parts: Vec<&Vec<u32>> = components

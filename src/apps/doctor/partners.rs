@@ -77,6 +77,7 @@ fn least(inputs: &Inputs) -> usize {
         .coverage
         .min_cameras
         .saturating_sub(1)
+        // At most k: if that is too few for min_cameras, the plan itself says so.
         .clamp(1, settings.partners.k.max(1)) as usize
 }
 

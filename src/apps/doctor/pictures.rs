@@ -32,6 +32,7 @@ fn blurred(inputs: &Inputs) -> Option<Finding> {
     let step = all.len().div_ceil(MOST_DECODED).max(1);
     let views: Vec<ViewIndex> = all.iter().copied().step_by(step).collect();
     let detail = |&view: &ViewIndex| {
+        // Pictures that cannot be read are named elsewhere; without detail they count for nothing.
         let grey = pictures.grey(inputs.scene, view, 1.0).ok().flatten();
         grey.map_or([0.0; 2], |(grey, _)| grey.detail())
     };

@@ -87,6 +87,7 @@ fn frame(inputs: &Inputs) -> Option<Finding> {
     ) {
         let up = MapFrame::new(inputs.scene, inputs.settings.surface.up).axes[2];
         if up.z < UPRIGHT {
+            // Rounding may leave a unit vector beyond -1, whose angle would not be a number.
             let angle = up.z.clamp(-1.0, 1.0).acos().to_degrees();
             let what = format!(
                 "the georeference has the model's third axis up, but the cameras' up is {angle:.0} degrees off: views.geojson shows the model \

@@ -55,6 +55,7 @@ impl DrawnSurface {
             edges.extend([[a, b], [b, c], [c, a]].map(|[a, b]| ([a.min(b), a.max(b)], counts(t))));
         }
         edges.sort_unstable();
+        // Those that count come after the others: the ends of a run tell whether both kinds meet.
         let same = edges.chunk_by(|a, b| a.0 == b.0);
         same.filter(|same| same[0].1 != same[same.len() - 1].1)
             .map(|same| same[0].0)
@@ -89,6 +90,7 @@ impl DrawnSurface {
                 continue;
             }
             let mut key = triangle;
+            // Triangles with the same corners coincide, whichever way they face.
             key.sort_unstable();
             let found = (triangle, t as u32, surface.area(t as u32));
             match largest.entry(key) {

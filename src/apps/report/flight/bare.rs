@@ -383,6 +383,7 @@ impl<'a> Overhead<'a> {
             }
             chosen.insert(squares[next]);
             for &place in &below[next] {
+                // The image may also show places that have enough.
                 lacking[place as usize] = lacking[place as usize].saturating_sub(1);
             }
         }

@@ -132,6 +132,7 @@ fn places(surface: &Surface, hole: &Hole, step: f64) -> Vec<(Point3<f64>, Vector
             .iter()
             .filter(|&&t| (surface.centroid(t) - place).norm() <= step);
         let sum: Vector3<f64> = near.map(|&t| surface.area_normal(t)).sum();
+        // Normals that cancel out leave no side to look from.
         Some((*place, sum.try_normalize(0.0)?))
     };
     found.iter().filter_map(normal).collect()
