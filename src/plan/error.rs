@@ -114,7 +114,6 @@ impl PlanError {
 impl From<RegionError> for PlanError {
     fn from(error: RegionError) -> Self {
         match error {
-            // A cancellation stays one, wherever it was noticed.
             RegionError::Cancelled(cancelled) => Self::Cancelled(cancelled),
             error => Self::Region(error),
         }

@@ -178,7 +178,7 @@ impl<'a> Known<'a> {
             Some(_) => None,
             None => Some(Units::Relative),
         });
-        // Before the surface is built, which a wrong file must not wait for.
+        // Before the surface is built, so that a wrong file is refused at once.
         let region = shape(&place, scene, &settings)?;
         Ok(Self {
             points,

@@ -310,6 +310,7 @@ fn unconfirmed(stages: &Stages, cut: &Cut) -> Option<String> {
 
 /// Returns whether the pictures leave open what can be matched, so that the plan may be far off.
 fn is_unsure(stages: &Stages, all: f64, reachable: &Band) -> bool {
+    // Without pictures the band is as wide for every scene, and tells nothing of this one.
     !stages.agreement.is_empty() && reachable.high - reachable.low > UNSURE * all
 }
 

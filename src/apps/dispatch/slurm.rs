@@ -113,6 +113,7 @@ impl SlurmQueue {
     pub fn read(dispatch: &Dispatch) -> Result<Self, DispatchError> {
         let mut queue = Self::empty(dispatch);
         let user = platform::user();
+        // Without `-r`, the waiting tasks of an array are one line.
         queue.add_jobs(&run(&[
             "squeue", "-h", "-r", "-u", &user, "-o", "%i|%j|%T",
         ]
@@ -142,6 +143,7 @@ impl SlurmQueue {
                 .strip_prefix(&self.prefix)
                 .map(|rest| rest.split_once('-'))
             {
+                // Only the name of a fusion has neither plan nor rank.
                 Some(None) => self.fusions.push((id.into(), state == "PENDING")),
                 Some(Some((plan, offset))) => {
                     let index = id
@@ -170,6 +172,7 @@ impl SlurmQueue {
             .iter()
             .filter(|task| task.pending)
             .map(|task| &task.job);
+        // The fusion, too, whose tasks are about to be others.
         let fusions = self
             .fusions
             .iter()

@@ -341,7 +341,7 @@ impl EvaluationInput<'_> {
             .collect();
         let mut certain = self.model;
         certain.rule.confidence = Confidence::None;
-        // Maps of programs with one size may have any, and count as what was planned.
+        // Where a program has one size, a map of any size counts as what was planned.
         let scales = if self.half_worth.is_some() {
             measured.iter().map(|m| m.size.scale).collect()
         } else {

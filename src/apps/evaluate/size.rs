@@ -69,6 +69,7 @@ impl MapSize {
                 least(scale)
             }
         };
+        // By ratio: the border between both sizes is at 0.71, not at 0.75.
         let off = |scale: MapScale| (width / (full * most(scale))).ln().abs();
         let scale = if off(MapScale::Half) < off(MapScale::Full) {
             MapScale::Half

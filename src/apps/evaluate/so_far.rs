@@ -191,6 +191,7 @@ impl<'a> PlaceRecord<'a> {
     /// Returns the probability that enough of the further maps keep a place.
     fn completed(&self, place: usize, [mean, trials]: [f64; 2]) -> f64 {
         let further = self.further[place];
+        // Where enough maps took part, yet keep less than the pilot shows, it takes one more.
         let wanted = (self.objective.support)
             .saturating_sub(self.taking_part[place])
             .max(1);

@@ -357,7 +357,7 @@ fn look(
         unreadable,
         ..
     } = depthmaps::list_preferring(maps.folder, &plan.stages.scene, maps.known)?;
-    // A map that is still being written cannot be read either.
+    // A map that is still being written looks damaged, too.
     let ready = unreadable
         .into_iter()
         .filter(|(path, _)| (maps.ready)(path));

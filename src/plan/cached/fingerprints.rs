@@ -292,7 +292,7 @@ fn add_parts(mut hasher: Hasher, parts: &[&[u8]]) -> Hasher {
 /// Hashes what stages read of a scene: all but the ids of its file, colours and warnings.
 fn hash_of(scene: &Scene) -> Hash {
     let pixels = || blake3::hash(bytemuck::cast_slice(&scene.track_pixels));
-    // The pixels are more than half of all bytes: 16 for each observation.
+    // The pixels are about half of all bytes, 16 for each observation: they go beside the rest.
     let (pixels, mut hasher) = rayon::join(pixels, || {
         let mut hasher = Hasher::new();
         for camera in &scene.cameras {

@@ -92,12 +92,12 @@ impl Basis {
             picture,
             pilot: where_true(
                 has_pilot,
-                // Thumbnails and maps are gone when places are ranked; a thread decodes or matches,
-                // not both.
+                // Thumbnails are gone when places are found; a thread decodes or matches, not both.
                 of_places.max(of_all + threads * of_one.max(picture)),
             ),
             redrawn: !makes_maps,
-            // Every price that is tried holds the largest f of each triangle, as many as support.
+            // Each price that is tried at once holds the largest f of every triangle, as many as
+            // support.
             ranked: where_true(
                 has_half,
                 threads.min(u64::from(PRICES) + 1) * size_of::<f32>() as u64 * support,

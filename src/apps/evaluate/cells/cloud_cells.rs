@@ -70,6 +70,7 @@ impl CloudCells {
             }
             Ok(())
         })?;
+        // By cell, not by point: each takes a search for the nearest triangle.
         let inside = inside(&found.centres, stages);
         Ok(Self::new(found.thinned(&inside, MOST_CELLS)))
     }

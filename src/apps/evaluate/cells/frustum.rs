@@ -27,6 +27,7 @@ impl Sphere {
         let (low, high) = places.fold((first, first), |(low, high), place| {
             (low.inf(&place), high.sup(&place))
         });
+        // Around their box: larger than need be, but found in one pass.
         let centre = nalgebra::center(&low, &high);
         Some(Self {
             centre,

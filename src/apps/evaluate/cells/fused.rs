@@ -92,8 +92,8 @@ pub fn find(
         return Ok(cloud.map(|cloud| (path.to_path_buf(), cloud)));
     }
     for path in usual_places(maps) {
-        // Nobody has named this file: if it is not a cloud of these maps, the maps are asked
-        // themselves.
+        // Nobody has named this file: where it is not a cloud of these maps, cells come from the
+        // maps themselves.
         if is_newer(&path, maps)
             && let Ok(Some(cloud)) = FusedCloud::read(&path, scene, keys, support)
         {

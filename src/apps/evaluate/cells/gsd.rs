@@ -49,8 +49,7 @@ impl<'a> PlaceGsd<'a> {
     /// Cells of few sizes: their edges must fit together where `g_d` changes.
     pub fn octave(&self, place: &Point3<f64>) -> Option<i16> {
         let (octave, median) = match self.fixed {
-            // One size costs no looks at further ones, so it may be as far from the images' own as
-            // set.
+            // A single size costs no looks at others, however far from the images' own it is set.
             Some(gsd) => (gsd.log2().round(), None),
             None => (self.finest(place)?.log2().round(), self.median),
         };

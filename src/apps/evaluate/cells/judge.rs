@@ -124,7 +124,7 @@ impl CellOrders {
         };
         let greedy: Vec<Vec<f64>> = best.iter().map(of).collect();
         let mut oracle = highest(&greedy);
-        // Only at the numbers that are compared: elsewhere, each would take a search of its own.
+        // Only at the numbers that are compared, since each takes a search of its own.
         for number in TENTHS.map(|tenth| at(tenth, usable.len())) {
             let found = oracle::best_of(table, counted, &best, number);
             if let Some(covered) = oracle.get_mut(number) {

@@ -31,6 +31,7 @@ fn greedy(table: &Incidence, counted: CountedCells, credit: u64) -> Vec<u32> {
     let support = table.support();
     let added = |taken: u32| match support.checked_sub(taken + 1) {
         Some(0) if taken == 0 => WHOLE,
+        // The map before has been credited with this part of the cell.
         Some(0) => WHOLE - credit,
         Some(1) => credit,
         _ => 0,

@@ -521,7 +521,7 @@ fn typical(cells: &[GroundCell]) -> [f64; 2] {
     let mean = [0, 1].map(|axis| sum(axis) / count);
     let off = |place: &[f64; 2]| (place[0] - mean[0]).hypot(place[1] - mean[1]);
     let places = cells.iter().map(|cell| cell.place);
-    // The mean of a ring of cells lies beside all of them.
+    // The mean of a ring of cells is on none of them.
     let nearest = places.min_by(|a, b| off(a).total_cmp(&off(b)));
     nearest.unwrap_or(mean)
 }

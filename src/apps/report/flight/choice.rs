@@ -52,7 +52,8 @@ impl Extended {
     ) -> Result<Self, VisibilityError> {
         let stages = &plan.stages;
         let has_image = |v: &ViewIndex| stages.without_image.binary_search(v).is_err();
-        // Others are no partners, and the visibility of each view here is computed anew.
+        // Only the deepest triangle stands for a hole: each view here costs a visibility of its
+        // own.
         let sees = |v: &ViewIndex| {
             holes
                 .iter()
@@ -191,6 +192,7 @@ fn clusters(extended: &Extended, candidates: &[Candidate], k: usize) -> Vec<View
         let taken = extended.partners(key, own, 0..extended.taken, TAKEN.min(most));
         let key = ViewIndex(key as u32);
         let mixed: Vec<ViewIndex> = taken.iter().chain(&new).copied().take(most).collect();
+        // Fewer new images may give more for each.
         let few: Vec<ViewIndex> = new.iter().copied().take(2).collect();
         let mut found: Vec<ViewCluster> = [new.clone(), taken.clone(), mixed, few]
             .map(|partners| ViewCluster { key, partners })

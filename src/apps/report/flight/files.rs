@@ -83,6 +83,7 @@ impl<'a> Described<'a> {
                     [from.longitude, from.latitude, from.height],
                     from.offset_to(to),
                 ),
+                // As in `views_local.json`: the axes of the map, but the origin of the model.
                 _ => (
                     frame.direction(&waypoint.centre.coords),
                     frame.direction(&waypoint.direction),
