@@ -318,6 +318,7 @@ pub(super) fn agreement(
         let file = cached::agreement::file(geometry, pictures, partners, reach.program);
         let compared = cached::agreement::read(file, geometry, partners)?.or_compute(|| {
             let pictures = thumbnails.beside(pictures);
+            // Forecast only here: a cached table takes no pictures into memory.
             let room = run
                 .memory
                 .before_pictures(geometry, inputs.most_mask_bytes())?;

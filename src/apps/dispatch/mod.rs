@@ -217,6 +217,7 @@ impl Dispatch {
             .collect();
         let folder = project.join("viewrank/dispatch").join(backend.name);
         let workplace = absolute(&export.files.root);
+        // From memory: somebody may change those in the project at any time.
         let lists = lists(&export.files, runner.lists);
         Ok(Self {
             project,

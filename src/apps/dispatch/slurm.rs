@@ -172,7 +172,7 @@ impl SlurmQueue {
             .iter()
             .filter(|task| task.pending)
             .map(|task| &task.job);
-        // The fusion, too, whose tasks are about to be others.
+        // The fusion, too: the tasks that it waits for are about to change.
         let fusions = self
             .fusions
             .iter()

@@ -88,6 +88,7 @@ pub(super) fn set(file: &ResultFile, agreement: &Agreement) -> Option<FileSet> {
         warnings: agreement.warnings.clone(),
         detail: agreement.detail.clone(),
     };
+    // The column is shared, not copied: it may have gigabytes.
     Some(file.file.file(&facts, vec![agreement.values.clone()]))
 }
 

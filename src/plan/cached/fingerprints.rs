@@ -116,6 +116,7 @@ impl<'a> Fingerprints<'a> {
                 program,
                 settings.image_scale(),
                 left_out,
+                // It matters who is set aside, not for whom.
                 twins.iter().map(|twin| twin.view).collect::<Vec<_>>(),
             ),
         );
@@ -132,6 +133,7 @@ impl<'a> Fingerprints<'a> {
     ) -> CacheFile {
         let inputs = || {
             let mut hasher = self.of_results(&[surface.inputs()?]);
+            // Its numbers come in where clusters are chosen: of others, this result stays.
             let form = match confidence {
                 Confidence::None => 0,
                 Confidence::Pair(_) => 1,
