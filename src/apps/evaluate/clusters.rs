@@ -69,6 +69,7 @@ pub fn read(path: &Path, scene: &Scene) -> Result<Vec<ViewCluster>, ClustersErro
         if views.iter().collect::<BTreeSet<_>>().len() < views.len() {
             return Err(wrong("a view is in the cluster twice".into()));
         }
+        // A view has one depth map, whose partners must be known.
         if !keys.insert(views[0]) {
             return Err(wrong(format!(
                 "{} has a cluster already",

@@ -79,6 +79,7 @@ fn with_ranked_clusters(
 ) -> Result<Stages, RepeatError> {
     let own = stages.clusters.iter().map(|c| (c.key, &c.partners));
     let written = ranked.iter().map(|c| (c.key, &c.partners));
+    // By key view: clusters are looked up by binary search.
     let partners: BTreeMap<_, _> = own.chain(written).collect();
     let clusters: Vec<_> = partners
         .into_iter()

@@ -376,6 +376,7 @@ impl<'a> Undistortion<'a> {
     fn undistorted<'m>(&self, mut model: ColmapModel<'m>) -> ColmapModel<'m> {
         let target = |id: u32| self.cameras.iter().find(|c| c.id == id);
         let source = |id: u32| self.scene.cameras.iter().find(|c| c.id == id);
+        // Images and points name each other: both have to drop an observation.
         let mut unseen = std::collections::HashSet::new();
         for image in &mut model.images {
             let (Some(from), Some(to)) = (source(image.camera_id), target(image.camera_id)) else {

@@ -605,6 +605,7 @@ fn check(entry: &Entry, backend: BackendLookup) -> Result<(), ConfigError> {
     if numbers.iter().filter_map(number).any(|n| !key.allows(n)) {
         return Err(refuse(format!("must be {}", wanted(key))));
     }
+    // In a table of its own, so that the error is about this key.
     let mut alone = Table::new();
     insert(&mut alone, &entry.key, entry.value.clone());
     let settings = Settings::deserialize(alone).map_err(|error| refuse(type_error(key, &error)))?;

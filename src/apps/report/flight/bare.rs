@@ -340,6 +340,7 @@ impl<'a> Overhead<'a> {
         let middle = plane.at([x, y]);
         let shown_by = |view: ViewIndex| {
             let (camera, pose) = (scene.camera_of(view), &scene.view(view).cam_from_world);
+            // Measured from the middle: a side more, for photographs above the rim.
             if (pose.centre() - middle).norm() > COARSER * distance + side {
                 return 0;
             }
