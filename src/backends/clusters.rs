@@ -55,6 +55,7 @@ pub fn map_script<'a>(
     maps: impl Iterator<Item = (&'a str, &'a str, String, String)>,
     joining: &str,
 ) -> String {
+    // Nothing needs quotes: marks are hashes, paths and options consist of ids and ranks.
     let line = |(key, id, map, words)| format!("map {} {id} {map} {words}\n", task_marker(key));
     let maps: String = maps.map(line).collect();
     strangers::with_refusal(include_str!("../../integrations/run_maps.sh"))
@@ -73,6 +74,7 @@ pub fn hash<'a>(texts: impl IntoIterator<Item = &'a str>) -> String {
     let mut hasher = blake3::Hasher::new();
     for text in texts {
         hasher
+            // With its length: the texts "ab", "c" must differ from "a", "bc".
             .update(&(text.len() as u64).to_le_bytes())
             .update(text.as_bytes());
     }
@@ -108,6 +110,8 @@ pub fn recipe(selection: &Selection, cluster: &RankedCluster, options: &str) -> 
         ]
         .concat();
         text += &format!(
+            // `{:?}` of an f64 gives the digits that lead back to it, so that any other pose
+            // counts.
             "\n{} {} {} {numbers:?}",
             selection.scene.name(view),
             camera.width,

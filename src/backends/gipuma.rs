@@ -69,6 +69,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
             .push(format!("gipuma {call} -output_folder results/"));
         calls.push(call);
     }
+    // The head lists all results, and moves those of other plans aside before the first call.
     let mut script = ClusterScript::new(&results, RUNNER_HEAD);
     for (result, call) in results.iter().zip(calls) {
         script.cluster(
@@ -132,6 +133,7 @@ fn call(
     Ok(format!(
         "{} -images_folder images/ -p_folder p/ --depth_min={} --depth_max={}",
         images.join(" "),
+        // The range is that of the sparse points, and the surface goes beyond them.
         0.9 * range[0],
         1.1 * range[1]
     ))

@@ -79,6 +79,7 @@ fn colmap() -> Option<PathBuf> {
 
 /// Returns COLMAP if it can match: its dense stereo needs CUDA, or HIP since 4.2.
 fn colmap_with_gpu() -> Option<PathBuf> {
+    // Chosen unasked only if it says so; `not_ready` refuses only one that says the opposite.
     let can_match = |help: String| {
         ["with CUDA", "with HIP"]
             .iter()

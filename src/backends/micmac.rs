@@ -174,9 +174,12 @@ fn runner(selection: &Selection) -> String {
             quoted(name)
         );
         let stem = stem(name);
+        // MicMac takes the user's orientations, not the poses of the model, so the script adds
+        // their checksum.
         let recipe = format!("\"{}-$orientations\"", recipe(selection, cluster, ""));
         let mark = quoted(&format!("MM-Malt-Img-{stem}/{MICMAC_MARK}"));
         let commands = [
+            // First of all: a call that breaks off must not leave the mark of an earlier map.
             format!("rm -f {mark}"),
             call,
             format!("note {recipe} {mark}"),

@@ -86,6 +86,7 @@ fn traps(examined: &ExaminedProject) -> Vec<Trap> {
         "and ODX and ODM take it unless ours replaces it",
         "put our scene.mvs over",
     );
+    // A stage that is skipped reads no scene.
     skipped.or(kept).into_iter().collect()
 }
 

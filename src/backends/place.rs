@@ -35,6 +35,7 @@ pub fn folder_of_record(record: &str) -> Option<(&str, bool)> {
     };
     let folder = RECORDS[..2]
         .iter()
+        // The longer path first, since it ends with the shorter one.
         .rev()
         .find_map(below)?
         .trim_end_matches('/');
@@ -191,6 +192,7 @@ fn spare_own_files(files: &FileSet, project: &Project) -> Result<(), BackendErro
         let path = place(path);
         let is_model = model
             .iter()
+            // Whatever the extension: COLMAP would take our `.bin` rather than the user's `.txt`.
             .any(|file| file.with_extension("") == path.with_extension(""));
         is_model
             || images

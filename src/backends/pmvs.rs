@@ -153,6 +153,7 @@ fn observed_together(
         let exported: Vec<usize> = track
             .iter()
             .map(|v| (v, index[v.index()]))
+            // Views outside of the export have index 0, as the first of it has.
             .filter(|&(v, i)| views.get(i) == Some(v))
             .map(|(_, i)| i)
             .collect();

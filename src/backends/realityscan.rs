@@ -57,6 +57,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
             return Err(BackendError::name(BACKEND.name, name, why));
         }
         let is_used = used.binary_search(&view).is_ok();
+        // Also for images that are not used: without a side file they would take part in meshing.
         files.add_text(format!("xmp/{stem}.xmp"), side_file(is_used));
         side_files += &format!("{stem}.xmp\n");
         if is_used {

@@ -163,6 +163,7 @@ impl ExportRecord {
         let wanted = selection.image_scale;
         let scale_of = |view: ViewIndex| scale(selection.scene.camera_of(view));
         let views = selection.views();
+        // Sizes are whole pixels, so that a small difference is rounding.
         let other = |view: &&ViewIndex| (scale_of(**view) / wanted).log2().abs() > 0.01;
         let others: Vec<ViewIndex> = views.iter().filter(other).copied().collect();
         let Some(&first) = others.first() else { return };

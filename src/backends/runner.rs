@@ -211,6 +211,7 @@ pub fn refuse_unfit(path: &Path, format: DepthMapFormat, size: [u32; 2]) -> Resu
     if !path.exists() {
         return Err("the program made no depth map".into());
     }
+    // One more on each side, as `is_of_shape` allows.
     let pixels = size.map(|side| u64::from(side) + 1).iter().product();
     let map = depthmaps::read(path, format, PixelBound::new(pixels));
     let map = map.map_err(|error| match error {

@@ -132,6 +132,7 @@ impl Selection<'_> {
             });
         }
         let faults = self.image_faults.among(&views);
+        // One usable image suffices: the record warns of the others.
         if views.is_empty() || faults.is_any_usable(views.len()) {
             return Ok(folder);
         }
@@ -206,6 +207,7 @@ impl Selection<'_> {
             .map(|name| paths::place_of_file(&images.file(name)))
             .collect();
         let mut above = paths::real(images);
+        // `rsync --files-from` sees all paths from a single folder.
         while !files.iter().all(|file| file.starts_with(&above)) && above.pop() {}
         let below = |file: &PathBuf| slashes(file.strip_prefix(&above).unwrap_or(file));
         (files.iter().map(below).collect(), command_path(&above))
@@ -414,6 +416,7 @@ pub fn rounding(scene: &Scene) -> Option<String> {
 /// is too coarse for them, else zero. `gsd`: units per pixel.
 pub fn origin_among(centres: &[Vector3<f64>], gsd: Option<f64>) -> Vector3<f64> {
     match too_coarse(centres, gsd) {
+        // Whole units, since the user adds them to the coordinates of what comes out.
         Some(_) => (centres.iter().sum::<Vector3<f64>>() / centres.len() as f64).map(f64::round),
         None => Vector3::zeros(),
     }
@@ -482,6 +485,7 @@ pub fn depth_range(
             hint: "leave the view out of the model".into(),
         });
     };
+    // Not the extremes: one wrong point would stretch the range.
     Ok([0.01, 0.99].map(|share| all[(last as f64 * share).round() as usize]))
 }
 
@@ -492,6 +496,7 @@ pub fn shared_points(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Vec
     for &p in points.observed_by(view) {
         let track = scene.track_views(p);
         for (i, v) in track.iter().enumerate() {
+            // A view may observe a point twice; a track is sorted by view.
             shared[v.index()] += u32::from(i == 0 || track[i - 1] != *v);
         }
     }

@@ -153,6 +153,8 @@ fn commands(selection: &Selection, views: &[ViewIndex], has_tests: bool) -> Vec<
         .all(|&v| selection.scene.camera_of(v).is_pinhole());
     let gsplat = format!(
         "python \"${{GSPLAT:?folder of gsplat}}\"/examples/simple_trainer.py default --data_dir {folder} --data_factor 1 --test_every {}",
+        // gsplat holds out every n-th image from the first on. With more than there are, it is the
+        // first alone.
         views.len() + 1
     );
     let original = format!(

@@ -186,6 +186,7 @@ fn calls(
 /// Returns the name of a project in `run.sh`, with the hash of what it is made from.
 fn result_name(selection: &Selection, cluster: &RankedCluster) -> String {
     let name = project(selection, cluster);
+    // Of the calls too: with another level or number of partners it is another project.
     let recipe = recipe(
         selection,
         cluster,
@@ -243,6 +244,7 @@ fn flat_names(selection: &Selection) -> Result<Vec<String>, BackendError> {
     for view in selection.views() {
         let name = selection.scene.name(view);
         let flat = checked_name("sure", name)?.replace('/', "_");
+        // Windows takes names that differ in case alone for one file.
         if let Some(other) = by_stem.insert(stem(&flat).to_lowercase(), view) {
             let why = format!(
                 "without folder and extension it is the same as {}",

@@ -18,6 +18,7 @@ pub fn clusters_by_area(selection: &Selection, count: usize) -> Vec<Vec<RankedCl
             .observed_by(key)
             .iter()
             .map(|p| selection.scene.points[p.index()].coords);
+        // A key view without points goes to the tile of the origin, rather than into none.
         let n = observed.len().max(1) as f64;
         Point3::from(observed.sum::<Vector3<f64>>() / n)
     };

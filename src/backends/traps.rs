@@ -93,6 +93,7 @@ impl ExaminedProject<'_> {
         same: &str,
         known_by: impl Fn(&str) -> String,
     ) -> Option<Trap> {
+        // Sorted, so that each run names the same pair.
         let mut by_key: BTreeMap<String, Vec<ViewIndex>> = BTreeMap::new();
         for view in self.scene.view_indices() {
             by_key

@@ -79,6 +79,7 @@ impl Row {
     /// Returns what was made for the view below a folder; the depth map comes last: once it is in
     /// place, all is.
     fn made(&self, folder: &Path) -> Vec<String> {
+        // With the underscore: view 1 must not take the files of view 10.
         let of_view = format!("{}_", self.view);
         let entries = fs::read_dir(folder.join(MAPS)).into_iter().flatten();
         let names = entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
@@ -88,6 +89,7 @@ impl Row {
             .map(|name| format!("{MAPS}/{name}"))
             .filter(|path| *path != map);
         let mut paths: Vec<String> = others.collect();
+        // A folder lists its files in an order of its own.
         paths.sort();
         paths.push(map);
         paths
@@ -185,12 +187,15 @@ pub fn finish(call: &Call) -> Result<(), String> {
             made.iter().try_for_each(|path| call.place(path))
         }
         Product::Cloud => {
+            // Both before either is moved: a mesh and a cloud of two runs would be taken for one
+            // result.
             for name in [MESH, CLOUD] {
                 if fs::metadata(call.work.join(name)).map_or(0, |made| made.len()) == 0 {
                     return Err(format!("the meshing made no {name}"));
                 }
             }
             call.place(MESH)?;
+            // The cloud goes last, since it says that the maps are joined.
             call.place(CLOUD)
         }
     }

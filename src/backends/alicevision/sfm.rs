@@ -46,6 +46,7 @@ pub fn cluster_file(scene: &Scene, points: &ViewPoints, cluster: &RankedCluster)
             .filter(|(_, v)| v.contains(&partner))
             .map(|l| l.0)
             .collect();
+        // A partner that shares no point gets no landmark either; the record warns of it.
         let missing = LEAST_LANDMARKS.saturating_sub(shared.len());
         landmarks.extend(
             shared
@@ -115,6 +116,7 @@ pub fn with_views(scene: &[u8], is_there: impl Fn(&str) -> bool) -> serde_json::
 /// A `.sfm` of version 1.2.6. Only listed views may occur in observations.
 fn scene_file(scene: &Scene, views: &[ViewIndex], landmarks: &[Track]) -> String {
     let mut views = views.to_vec();
+    // AliceVision orders the views by ascending id, and `--rangeStart` counts in that order.
     views.sort_by_key(|&v| scene.view(v).image_id);
     let mut cameras: Vec<u32> = views.iter().map(|&v| scene.view(v).camera.0).collect();
     cameras.sort_unstable();
@@ -127,6 +129,7 @@ fn scene_file(scene: &Scene, views: &[ViewIndex], landmarks: &[Track]) -> String
     });
     // Written one by one: as JSON values in memory they take ten times the size of their text.
     let mut text = head.to_string();
+    // Takes the closing brace off, to append the structure.
     text.pop();
     text += ",\"structure\":[";
     for (i, landmark) in landmarks.iter().enumerate() {

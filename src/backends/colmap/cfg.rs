@@ -74,6 +74,7 @@ pub fn check_listed(name: &str) -> Result<(), BackendError> {
 
 /// COLMAP's `StringTrim` removes ASCII white space only.
 fn trim(text: &str) -> &str {
+    // Rust's ASCII white space lacks the vertical tab, which C's `isspace` has.
     text.trim_matches(|c: char| c.is_ascii_whitespace() || c == '\x0b')
 }
 

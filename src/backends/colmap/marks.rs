@@ -42,6 +42,8 @@ impl ListedMap {
         // COLMAP keeps no order.
         sources.sort_unstable();
         let mark = match kind {
+            // A photometric map has the mark of the task in `viewrank run`, so a geometric one
+            // needs another.
             "geometric" => hash([key, kind]),
             _ => task_marker(key),
         };
@@ -74,6 +76,7 @@ pub fn known(depth_maps: &Path) -> KnownMaps {
     let listed = from_tsv(&String::from_utf8_lossy(&list), depth_maps);
     let at_full_size = ids_at_full_size(&workspace, depth_maps);
     Box::new(move |map| {
+        // The folder may hold any number of maps: marks are read only for those of the plan.
         let Some([mark, id]) = listed.get(map) else {
             return false;
         };
@@ -82,6 +85,7 @@ pub fn known(depth_maps: &Path) -> KnownMaps {
         let of_full_size = at_full_size.get(map);
         let ids = [Some(id), of_full_size].into_iter().flatten();
         made_from.is_ok_and(|made_from| {
+            // `run.sh` writes marks with `echo`, which adds a line break.
             ids.map(String::as_bytes)
                 .any(|id| made_from.trim_ascii() == id)
         })
@@ -98,6 +102,7 @@ fn ids_at_full_size(workspace: &Path, depth_maps: &Path) -> HashMap<PathBuf, Str
         (depth_maps.join(map), row.id_at_full_size)
     };
     let rows = maps.unwrap_or_default().into_iter();
+    // A `run.json` without this field would make an empty mark count.
     rows.filter(|row| !row.id_at_full_size.is_empty())
         .map(map)
         .collect()

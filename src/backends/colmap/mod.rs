@@ -117,6 +117,7 @@ pub static BACKEND: Backend = Backend {
 
 fn tasks(selection: &Selection, export: &Export) -> TaskRunner {
     let workspace = selection.project.dense_workspace.as_deref();
+    // With `--out` the lists are for a new workspace, whose model has the names of the scene.
     let workspace = workspace.filter(|workspace| *workspace == export.files.root);
     let names = ListedNames::new(selection, workspace);
     let passes = Passes::new(&names, selection, &ExportOptions::default());
@@ -128,6 +129,7 @@ fn tasks(selection: &Selection, export: &Export) -> TaskRunner {
     let map = |c: &RankedCluster| {
         let name = names.of(c.key);
         let path = format!("stereo/depth_maps/{}", map_name(name, "photometric"));
+        // Without points or partners there is no problem in the list, and no map to wait for.
         made.contains(name).then(|| export.files.root.join(path))
     };
     TaskRunner {
@@ -293,6 +295,8 @@ impl<'a> Passes<'a> {
     /// Returns a list that can be run with COLMAP's default options, or with `geom_consistency 0`
     /// if not geometric.
     fn main_list(&self) -> &[Problem] {
+        // By default COLMAP runs both passes over one list, in which every source must be a
+        // reference.
         if self.geometric && self.refs != References::Keys {
             &self.first
         } else {
@@ -428,6 +432,7 @@ impl<'a> Passes<'a> {
                 |pass, options: &str| patch_match(selection, &name(pass), options, MapScale::Full);
             if !first.is_empty() {
                 files.add_text(name("photometric"), cfg::write_patch_match(&[], first));
+                // COLMAP does not filter the photometric maps of its own two passes either.
                 let options = geometric(false) + "--PatchMatchStereo.filter 0";
                 commands.push(command("photometric", &options));
             }
@@ -473,6 +478,8 @@ impl<'a> Passes<'a> {
             }
             let mut map = listed(problem, "photometric", "filter 1");
             if let Some(task) = tasks.get(&*problem.reference) {
+                // The mark of the task, so that `viewrank run` goes on from maps of `run.sh`, and
+                // the reverse.
                 [map.id, _] = task_ids(&BACKEND, selection, task);
             }
             map
@@ -490,6 +497,8 @@ impl<'a> Passes<'a> {
         if self.half.is_empty() {
             return vec![(MAIN_LIST.into(), MapScale::Full, &self.last)];
         }
+        // A call has one `max_image_size`. Two lists, one per size, would need fewer calls but lose
+        // the rank order.
         let of_one_size = |a: &Problem, b: &Problem| self.scale(a) == self.scale(b);
         let lists = self.last.chunk_by(of_one_size).zip(1..);
         lists
@@ -508,6 +517,7 @@ impl<'a> Passes<'a> {
                 .map(String::as_str)
                 .collect();
             let wanted = |p: &&Problem| {
+                // Inserted only if needed: what this batch leaves out, a later one makes.
                 needed.contains(p.reference.as_str()) && made.insert(p.reference.clone())
             };
             (
@@ -543,6 +553,8 @@ fn min_pixels(maps: usize) -> usize {
 /// Options of a fusion of maps of one kind. `images`: number of those of the model.
 fn fusion_options(kind: &str, maps: usize, images: usize) -> String {
     format!(
+        // COLMAP takes a view's neighbours among all images of the model, and only then drops those
+        // without a map. With its default of 50, key views could lose each other.
         "--input_type {kind} --StereoFusion.min_num_pixels {} --StereoFusion.check_num_images {images}",
         min_pixels(maps)
     )
@@ -554,6 +566,7 @@ fn script(record: &ExportRecord, lines: usize) -> String {
     let (fusion, maps) = record.commands.split_last().expect("the maps are fused");
     let command = |c: &String| c.replacen("colmap", "\"${COLMAP:-colmap}\"", 1);
     let maps: Vec<String> = maps.iter().map(command).collect();
+    // The script moves the cloud to its place when it is whole.
     let unfinished = format!("{OWN}unfinished.ply");
     with_refusal(include_str!("../../../integrations/colmap/run.sh"))
         .replacen("@LINES@", &lines.to_string(), 1)
@@ -611,6 +624,7 @@ fn other_problems(
             .copied()
             .filter(|s| shared[s.index()] > 0 && with_points[s.index()])
             .collect();
+        // A stable sort: views that share equally many points stay in the order of their names.
         sources.sort_by_key(|s| std::cmp::Reverse(shared[s.index()]));
         sources.truncate(count);
         Problem {

@@ -81,6 +81,7 @@ pub fn commands(call: &Call) -> Result<Vec<Vec<OsString>>, String> {
         .flat_map(|name| ["bin", "txt"].map(|end| format!("{name}.{end}")))
     {
         let path = format!("sparse/{name}");
+        // A model is binary or text, and only those of COLMAP 4 have rigs and frames.
         if call.workplace.join(&path).is_file() {
             files.add(&*path, call.link(&path));
         }
@@ -101,6 +102,7 @@ pub fn commands(call: &Call) -> Result<Vec<Vec<OsString>>, String> {
     let mut command: Vec<OsString> = words.chain([call.work.into()]).collect();
     command.extend(options.split(' ').map(OsString::from));
     if call.product == Product::Cloud {
+        // Not among the options, which are split at blanks: a folder's name may have some.
         command.extend(["--output_path".into(), call.work.join(FUSED).into()]);
     }
     Ok(vec![command])
@@ -148,6 +150,8 @@ pub fn finish(call: &Call) -> Result<(), String> {
         Product::Map(rank) => {
             let run: Run = call.read(RUN)?;
             let row = call.row_of(rank, &run.maps, Row::task)?;
+            // Both maps are checked before either is moved, so that a failure leaves the earlier
+            // pair.
             for (folder, channels, what) in KINDS {
                 check(&call.work.join(row.path(folder)), channels, what, row.size)?;
             }
@@ -161,6 +165,7 @@ pub fn finish(call: &Call) -> Result<(), String> {
                 return Err("COLMAP fused no points".into());
             }
             let views = format!("{FUSED}.vis");
+            // Before the cloud, which says that the maps are fused.
             if call.work.join(&views).exists() {
                 call.place(&views)?;
             }
@@ -181,6 +186,7 @@ fn check(path: &Path, channels: u32, what: &str, size: [u32; 2]) -> Result<(), S
 /// Returns whether a depth map and its normal map are all there.
 pub fn is_whole(depth_map: &Path) -> bool {
     let is_it = |above: &&Path| above.ends_with("stereo/depth_maps");
+    // Names of images may have folders, so the map may be several levels below.
     let normal_map = depth_map.ancestors().find(is_it).and_then(|folder| {
         let name = depth_map.strip_prefix(folder).ok()?;
         Some(folder.with_file_name("normal_maps").join(name))

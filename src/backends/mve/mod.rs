@@ -80,6 +80,7 @@ pub static BACKEND: Backend = Backend {
 /// Smallest power of two that reduces the image to at most `--max-pixels`, 1.5 million by default.
 fn own_scale(camera: &Camera) -> f64 {
     let ratio = f64::from(camera.width) * f64::from(camera.height) / 1_500_000.0;
+    // Each level has a quarter of the pixels of the one before.
     (-ratio.log(4.0).ceil().max(0.0)).exp2()
 }
 
@@ -211,6 +212,7 @@ fn script(selection: &Selection, rows: &[Row], record: &mut ExportRecord) -> Str
     );
     let mut fusion = String::new();
     for (_, cloud) in CLOUDS.iter().filter(|(_, cloud)| !names.contains(cloud)) {
+        // A cloud that an earlier plan has left would be taken for part of this one.
         fusion += &format!("tried rm -f {cloud}\n");
     }
     for (options, cloud) in &clouds {
@@ -271,6 +273,7 @@ fn meta(scene: &Scene, view: ViewIndex, id: usize) -> String {
     let (camera, pose) = (scene.camera_of(view), &scene.view(view).cam_from_world);
     let (f, c) = camera.pinhole_part();
     let (width, height) = (f64::from(camera.width), f64::from(camera.height));
+    // A matrix is stored by columns, and MVE reads rotations by rows.
     let r = pose.rotation.matrix().transpose();
     let numbers = |values: &[f64]| {
         values

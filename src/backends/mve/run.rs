@@ -139,6 +139,7 @@ pub fn commands(call: &Call) -> Result<Vec<Vec<OsString>>, String> {
                 }
             }
             let joining = program_beside(call.program, "scene2pset")?;
+            // Without `-v`: the scene has no views but those of finished maps.
             let join = |(cloud, level)| {
                 let made = call.work.join(cloud);
                 command(&joining, &[format!("-F{level}")], &[call.work, &made])
@@ -162,6 +163,7 @@ fn command(program: &Path, options: &[String], paths: &[&Path]) -> Vec<OsString>
 /// Options of scene2pset for the maps of these ranks, in a scene of more.
 pub fn joined(ranks: impl Iterator<Item = usize>, level: u32) -> [String; 2] {
     let ids: Vec<String> = ranks.map(|rank| (rank - 1).to_string()).collect();
+    // Without `-v`, scene2pset takes all views.
     [format!("-F{level}"), format!("-v{}", ids.join(","))]
 }
 

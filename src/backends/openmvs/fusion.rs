@@ -63,6 +63,7 @@ pub fn lay_out(run: &Run, call: &Call) -> Result<usize, String> {
         let bytes = map.enlarged(full).map_err(text)?;
         output::replace(&call.work.join(&row.map), &bytes, &call.disk()).map_err(text)?;
     }
+    // With a single map, no other can agree.
     Ok(run.maps_per_point.min(there.len()))
 }
 

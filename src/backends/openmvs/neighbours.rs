@@ -196,6 +196,7 @@ fn positions(selection: &Selection, mvs: &Mvs, path: &Path) -> Result<Vec<usize>
     let names: Vec<String> = mvs
         .images
         .iter()
+        // A scene that was written on Windows has backslashes.
         .map(|image| String::from_utf8_lossy(&image.name).replace('\\', "/"))
         .collect();
     let mut positions = vec![usize::MAX; selection.scene.views.len()];
@@ -253,6 +254,7 @@ fn size_of_scene(
             [&of_model[..], of_scene].map(|centres| (centres[i] - centres[j]).norm());
         (scene - size * model).abs() <= SAME_SHAPE * spread_of_scene
     };
+    // Cameras that are all in one place have no spread, and give 0, infinity or NaN.
     if size.is_normal() && (1..views.len()).all(|i| same(i, i - 1)) {
         return Ok(size);
     }
@@ -281,6 +283,7 @@ fn moved(mut mvs: Mvs, origin: Vector3<f64>) -> Mvs {
             .into();
     }
     if has_region(&mvs) {
+        // The corners of the region are in its own axes, which the first nine numbers turn to.
         let turned = Matrix3::from_row_slice(&mvs.region[..9]) * origin;
         (0..6).for_each(|i| mvs.region[9 + i] -= turned[i % 3]);
     }
@@ -335,6 +338,7 @@ impl Depths {
             depths.get((last as f64 * share).round() as usize).copied()
         };
         let [least, median, greatest] =
+            // Not the extremes, since one wrong point would refuse the scene.
             [0.01, 0.5, 0.99].map(|share| at(share).unwrap_or(f64::NAN));
         Self {
             view: scene.name(view).into(),

@@ -289,6 +289,7 @@ fn check(row: &Row, path: &Path) -> Result<&'static str, String> {
     if key != own {
         return Err(format!("the depth map is of image {key}, not of {own}"));
     }
+    // As sets, since OpenMVS orders the partners by scores of its own.
     let (made, planned) = (set(partners), set(planned));
     if made != planned {
         return Err(format!(
@@ -297,6 +298,7 @@ fn check(row: &Row, path: &Path) -> Result<&'static str, String> {
     }
     let [least, greatest] = map.range();
     let [nearest, farthest] = row.depths;
+    // OpenMVS may search 0.1 to 100 units whatever the scene has, and ends with 0 all the same.
     let is_searched = (RANGE[0] * nearest..=1.001 * nearest).contains(&least)
         && (0.999 * farthest..=RANGE[1] * farthest).contains(&greatest);
     if !is_searched {
@@ -311,6 +313,7 @@ fn check(row: &Row, path: &Path) -> Result<&'static str, String> {
 /// Fails if a map that is there is of another kind than the one just made.
 fn refuse_other_kinds(run: &Run, row: &Row, call: &Call, kind: &str) -> Result<(), String> {
     let others = run.clusters.iter().filter(|other| other.rank != row.rank);
+    // One other map suffices: each was compared with one when it was made.
     let mut others = others.filter_map(|other| {
         let map = WholeMap::read(&call.workplace.join(&other.map), other.size).ok()?;
         Some((map.kind(), &*other.map))

@@ -60,6 +60,7 @@ impl<'a> Builder<'a> {
     /// refers to it.
     pub fn images(&self, views: &[ViewIndex]) -> Mvs {
         let mut mvs = Mvs {
+            // v2.0 to v2.2 and the builds of ODM refuse version 7.
             version: 6,
             ..Mvs::default()
         };
@@ -140,6 +141,7 @@ impl<'a> Builder<'a> {
         let mut pairs: BTreeSet<[u32; 2]> = BTreeSet::new();
         for (key, cluster) in (0..).zip(selection.clusters) {
             let of_keys = cluster.partners.iter().filter_map(|p| key_of(*p));
+            // Each pair of key views once, or its points would be vertices twice.
             pairs.extend(of_keys.map(|other| [key.min(other), key.max(other)]));
             let copied = cluster.partners.iter().filter(|p| key_of(**p).is_none());
             let once_more = cluster
@@ -163,6 +165,7 @@ impl<'a> Builder<'a> {
         for (i, (image, &view)) in mvs.images.iter_mut().zip(&views).enumerate() {
             image.name = path(self.scene.name(view)).into_bytes();
             if let Some(copy) = i.checked_sub(selection.clusters.len()) {
+                // The id names the depth map, so a copy must not have that of its original.
                 image.id = first_free.saturating_add(copy as u32);
             }
         }
@@ -207,6 +210,7 @@ impl<'a> Builder<'a> {
 
     fn pose(&self, view: ViewIndex) -> PlatformPose {
         let pose = &self.scene.view(view).cam_from_world;
+        // A matrix is stored by columns, and OpenMVS reads rotations by rows.
         let r = pose.rotation.matrix().transpose();
         PlatformPose {
             r: r.as_slice().try_into().expect("nine numbers"),

@@ -74,6 +74,7 @@ impl SharedPoints<'_> {
     fn most(&self, among: &[ViewIndex], most: usize) -> Vec<(u32, u32)> {
         let shared = |v: &ViewIndex| self.shared[v.index()];
         let mut others: Vec<ViewIndex> = among.iter().copied().filter(|v| shared(v) > 0).collect();
+        // A stable sort: ties stay in the order of `among`.
         others.sort_by_key(|v| std::cmp::Reverse(shared(v)));
         self.row(others.into_iter().take(most))
     }

@@ -230,6 +230,7 @@ impl Dialect {
             .filter(|&i| self.is_half(selection, i))
             .count();
         let sizes = [
+            // A plan without clusters has the command of full size.
             (at_half < selection.clusters.len() || at_half == 0).then_some(MapScale::Full),
             (at_half > 0).then_some(MapScale::Half),
         ];

@@ -244,6 +244,7 @@ fn command(call: &Call, options: &str) -> Vec<OsString> {
         &"--output_folder",
         &call.work.join("depths"),
         &"--checkpoint_path",
+        // A relative path is seen from the program's folder, as in `run.sh`, which changes to that.
         &folder.join(named.unwrap_or_else(|| CHECKPOINT.into())),
     ]);
     command.extend(options.split(' ').map(OsString::from));

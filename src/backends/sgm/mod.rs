@@ -166,6 +166,7 @@ fn commands(call: &Call) -> Result<Vec<Vec<OsString>>, String> {
             vec![command("match", &[&"--cache", &cache, &"--rank", &rank])]
         }
         Product::Cloud => vec![
+            // A run of no clusters joins the rows of single ranks into one `report.json`.
             command("match", &[&"--stop-at", &"0"]),
             command("fuse", &[]),
         ],
@@ -248,6 +249,7 @@ fn add_pictures(selection: &Selection, images: &ImageFolder, files: &mut FileSet
         let name = selection.scene.name(view);
         files.add(format!("images/{name}"), images.link(name));
         if let Some(mask) = pictures.mask_file(name) {
+            // Masks may be in a folder of their own outside of the project.
             let folder = mask.parent().unwrap_or(&mask).to_path_buf();
             let link = Contents::Link { file: mask, folder };
             files.add(format!("masks/{name}.png"), link);

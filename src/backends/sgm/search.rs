@@ -84,6 +84,7 @@ impl ReachOfPair for KeyView<'_> {
         let Some((parallax, Range { start, end })) = self.searched(pair) else {
             return Reach::Nothing;
         };
+        // The matcher fills the last group up.
         let searched = start..start + GROUP * ((end - start) / GROUP).ceil();
         let key = self.key.clone();
         Reach::Part(Box::new(move |point| {
@@ -178,6 +179,7 @@ impl Reduced {
     fn new(scene: &Scene, view: ViewIndex, image_scale: f64) -> Self {
         let (camera, pose) = (scene.camera_of(view), &scene.view(view).cam_from_world);
         let full = Vector2::new(f64::from(camera.width), f64::from(camera.height));
+        // Python's `round` takes a tie to the even number.
         let size = full.map(|side| (side * image_scale).round_ties_even().max(1.0));
         let (focal, centre) = camera.pinhole_part();
         let reduced = size.component_div(&full);
@@ -228,6 +230,7 @@ impl Reduced {
     #[inline(always)]
     fn shows(&self, [u, v, depth]: [f64; 3]) -> bool {
         let inside = |at: f64, size: f64| (at > -0.5 * depth) & (at < (size - 0.5) * depth);
+        // `&` and not `&&`: branches would keep the loops from becoming vector instructions.
         (depth > 0.0) & inside(u, self.size.x) & inside(v, self.size.y)
     }
 }
@@ -282,6 +285,7 @@ impl Parallax {
         let samples: Vec<(Vector2<f64>, f64)> = seen
             .map(|[u, v, inverse]| (Vector2::new(u, v), inverse))
             .collect();
+        // Fewer points are in front of both views than the matcher needs.
         if samples.len() < MIN_SHARED {
             return None;
         }
@@ -297,9 +301,12 @@ impl Parallax {
         let planes = [dominant_plane(&samples)?, level];
         let plane = planes
             .into_iter()
+            // The partner must be well in front of the plane, or the homography degenerates.
             .find(|plane| bend(plane) > 0.1)
             .filter(|_| centre.norm() > 0.0)?;
         let e = -key.intrinsics * centre;
+        // A motion across the line of sight would put the epipole at infinity. As far away as this
+        // the error is below 0.001 px per pixel of disparity.
         let height = e.z.abs().max(e.xy().norm() / FAR).copysign(e.z);
         let by_plane = rotation + translation * (plane.transpose() * key.intrinsics);
         let homography = partner.intrinsics * by_plane * key.intrinsics.try_inverse()?;
@@ -349,6 +356,7 @@ impl Parallax {
     ) -> bool {
         let step = key.size.max() / OVERLAP_GRID.0;
         let [columns, rows] =
+            // As many as `np.arange(-0.5, side, step)` has.
             [key.size.x, key.size.y].map(|side| ((side + 0.5) / step).ceil() as usize);
         let enough = (share * (columns * rows) as f64).ceil() as usize;
         let (range, parts) = (searched.end - searched.start, f64::from(OVERLAP_GRID.1 - 1));
@@ -358,6 +366,7 @@ impl Parallax {
             let radius = offset.norm();
             (0..OVERLAP_GRID.1).any(|part| {
                 let disparity = searched.start + range * f64::from(part) / parts;
+                // A place of the grid may be the epipole itself.
                 let carried = self.epipole + offset * ((radius - disparity) / radius.max(1e-9));
                 let there = self.homography * carried.push(1.0);
                 radius > disparity && partner.shows(there.into())
@@ -396,6 +405,7 @@ fn searched(disparities: &mut [f64], key: &Reduced) -> Option<Range<f64>> {
     let held = |(i, d): (usize, &f64)| {
         disparities
             .partition_point(|x| *x <= d + room - 2.0 * RANGE_PIXELS)
+            // In an image of a few pixels, the margins alone are wider than the room.
             .saturating_sub(i)
     };
     // Of several windows with as many points the matcher takes the first.
@@ -448,6 +458,8 @@ impl<I: ExactSizeIterator<Item = Point3<f64>>> Kernel for Disparities<'_, I> {
             for (lane, point) in self.others.by_ref().take(LANES).enumerate() {
                 (0..3).for_each(|axis| places[axis][lane] = point[axis]);
             }
+            // All lanes, also those left over from the last round: loops of a fixed length
+            // vectorise.
             for lane in 0..LANES {
                 let place = [places[0][lane], places[1][lane], places[2][lane]];
                 shown[lane] = self.key.shows(self.key.homogeneous(place))
@@ -471,6 +483,7 @@ fn dominant_plane(samples: &[(Vector2<f64>, f64)]) -> Option<Vector3<f64>> {
         .map(|s| (s.0 - centre).map(|x| x * x))
         .sum::<Vector2<f64>>()
         / count;
+    // Points in one column or row have no spread.
     let spread = variance.map(|v| v.sqrt() + 1e-9);
     let rows = Rows {
         x: samples
@@ -485,6 +498,7 @@ fn dominant_plane(samples: &[(Vector2<f64>, f64)]) -> Option<Vector3<f64>> {
     };
     let damping = Matrix3::from_diagonal(&(Vector3::new(0.0025, 0.0025, 0.0) * count));
     let (mut weights, mut fit) = (vec![1.0; samples.len()], Vector3::zeros());
+    // As many rounds as the matcher takes: another plane would refuse other pairs.
     for _ in 0..20 {
         let (normal, right) = rows.normal_equations(&weights);
         fit = (normal + damping).lu().solve(&right)?;
@@ -493,6 +507,8 @@ fn dominant_plane(samples: &[(Vector2<f64>, f64)]) -> Option<Vector3<f64>> {
             fit: fit.into(),
             residuals: &mut weights,
         });
+        // A copy, since the quantile moves the values and each belongs to its row. The small number
+        // is for points that are all in one plane.
         let scale = 1.5 * quantile(&mut weights.clone(), 50.0) + 1e-12;
         vectorised(Weights {
             residuals: &mut weights,
@@ -582,6 +598,7 @@ impl Kernel for Weights<'_> {
 
 /// Quantile, linear between two values; the values change places.
 fn quantile(values: &mut [f64], percent: f64) -> f64 {
+    // As numpy's `percentile`, which the matcher calls.
     let place = percent / 100.0 * (values.len() - 1) as f64;
     let (_, &mut below, rest) =
         values.select_nth_unstable_by(place.floor() as usize, f64::total_cmp);
