@@ -79,9 +79,11 @@ impl Walk<'_> {
         (self.tick)();
         let listing = match Listing::read(&folder) {
             Ok(listing) => listing,
+            // Removed since the folder above was listed.
             Err(error) if error.kind() == io::ErrorKind::NotFound => return,
             Err(error) => return self.found.unreadable.push((folder, error.to_string())),
         };
+        // Only links lead to a folder twice, so canonical paths are not computed without them.
         if depth > MAX_DEPTH || self.follow_links && !self.is_new(&folder) {
             return;
         }
@@ -94,6 +96,7 @@ impl Walk<'_> {
             FolderKind::MayBeProject { of_models } => (true, of_models),
             _ => (false, BTreeSet::new()),
         };
+        // Its own workspaces and models would count as projects inside it.
         let (own, others): (Vec<_>, Vec<_>) = listing
             .below()
             .partition(|name| may_be_one && (is_workspace(name) || of_models.contains(*name)));
@@ -107,6 +110,7 @@ impl Walk<'_> {
             SEVERAL
         };
         if may_be_one && self.found.projects.len() < before.0[0] + several {
+            // What was found below it is its own.
             self.found.truncate(before.0);
             self.links.truncate(before.1);
             return self.found.projects.push(folder);
@@ -118,6 +122,8 @@ impl Walk<'_> {
                 listing
                     .links
                     .iter()
+                    // Links are taken from the end: reversed, they are followed in the order of
+                    // their names.
                     .rev()
                     .map(|name| (folder.join(name), depth + 1)),
             );
@@ -213,6 +219,7 @@ impl Listing {
         if named(&self.folders, "sparse") && sparse() {
             return FolderKind::Project;
         }
+        // A link that may not be followed makes a project too, which waits and says why.
         if named(&self.links, "sparse") && (!follow_links || sparse()) {
             return FolderKind::Project;
         }

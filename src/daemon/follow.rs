@@ -222,6 +222,7 @@ fn follow_now(
 ) -> Result<Outcome, Outcome> {
     let within = [root.to_path_buf()];
     let disk = Disk::REAL.within(&within);
+    // A killed run may have stopped between two files of the plan that is read next.
     output::recover(root, &disk).map_err(failed)?;
     let files = map_files_inside(root).map_err(failed)?;
     if files.is_empty() {
@@ -298,6 +299,7 @@ impl FollowJob<'_> {
             let order = plan.decision.ranking.maps().collect();
             (order, plan.decision.cut.clusters)
         } else {
+            // The backend works along the written list, however the rest would be ranked today.
             (listed(&plan, &written), with_finished(&plan, &list))
         };
         let measured = measured.as_ref();
@@ -379,6 +381,7 @@ fn listed(plan: &Plan, written: &[(ViewIndex, MapScale)]) -> Vec<(u32, MapScale)
     let place = |key: &ViewIndex| {
         plan.stages
             .clusters
+            // Clusters ascend by key view.
             .binary_search_by_key(key, |cluster| cluster.key)
             .ok()
     };
@@ -463,6 +466,7 @@ impl TargetForecast {
             target_reached: !finished.is_empty() && is_reached,
             done: finished.len(),
             clusters: self.cut,
+            // Null would mean that the maps were counted and not measured.
             share: self.so_far.share.or(Some(0.0)),
             has_region: stages.settings.region.is_some(),
             target: self.target,

@@ -32,6 +32,7 @@ impl<'a> Foreground<'a> {
             on_target: None,
             replan: false,
             cache: CACHE,
+            // The user has named this project; `map_files_inside` leaves maps outside of it alone.
             follow_links: true,
             roots: Vec::new(),
             typed,

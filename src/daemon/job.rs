@@ -107,6 +107,7 @@ impl Planner for PlanJob {
         // In the daemon's own process, which reads no model: no file depends on its unit.
         let settings = match self.settings_of_files(project, &|_| Some(1.0)) {
             Ok(settings) => settings,
+            // While the settings are invalid, the files that they named still count.
             Err(_) => self.last_settings(project).unwrap_or_default(),
         };
         let files = [user_file(), self.root_file(project)];
@@ -197,6 +198,7 @@ impl PlanJob {
         {
             return Ok(planned);
         }
+        // Not earlier: a plan that is current needs no memory.
         refuse_large(job, &model)?;
         if !self.options.is_run {
             Dispatch::refuse_if_at_work(&project).map_err(failed)?;
@@ -209,6 +211,7 @@ impl PlanJob {
                 reason: empty.to_string(),
             });
         }
+        // Compared before the new plan takes its place.
         let replaced = (is_by_hand && !self.options.is_run)
             .then(|| another_than(&plan, &project))
             .flatten();
@@ -304,9 +307,11 @@ impl PlanJob {
             replan: self.options.replan,
         };
         let (plan, mut progress) = following.measure(&watcher).map_err(failed)?;
+        // A first `progress.json` would say that the backend is at work.
         if progress.is_of_no_maps() && !progress_file(job.project).is_file() {
             return Err(Outcome::Abandoned);
         }
+        // The plan before the progress, which counts along the list that is written.
         if self.options.replan {
             write(
                 &plan,
@@ -319,6 +324,8 @@ impl PlanJob {
         progress.keep_announced(job.project);
         progress.write(job.project, &disk).map_err(failed)?;
         if progress.target_reached && !progress.announced {
+            // The command may read the progress, so that is written first; and once more after it,
+            // or a restart would run the command again.
             progress.announced = self.announce(job.project);
             progress.write(job.project, &disk).map_err(failed)?;
         }
@@ -352,6 +359,7 @@ impl PlanJob {
             ));
         }
         let (project, plan) = replan::repeat(root, watcher).map_err(|error| match error {
+            // The change of the input starts a job of its own.
             RepeatError::Written(WrittenPlanError::OtherInput(_)) => Outcome::Abandoned,
             error => failed(error),
         })?;
@@ -396,6 +404,7 @@ impl PlanJob {
         match started {
             Ok(child) => {
                 let project = project.to_path_buf();
+                // Unless it is waited for, it stays a zombie as long as the daemon runs.
                 thread::spawn(move || wait_for(child, &project));
                 true
             }
@@ -492,6 +501,8 @@ impl PlanJob {
         let known = lock(&self.valid_settings).get(project).cloned();
         let of_plan = || {
             let settings = PlannedFrom::read(project)?.settings;
+            // The record may have come with a stranger's project, and must name no file of the
+            // user's.
             (!settings.leads_out(project)).then_some(settings)
         };
         known.or_else(of_plan)
@@ -756,6 +767,7 @@ impl Watcher for JobWatcher<'_> {
     fn progress(&self, stage: Stage, done: u64, total: u64) {
         let percent = (100 * done.min(total) / total.max(1)) as u8;
         let same_stage = self.sent[0].swap(stage as u8, Ordering::Relaxed) == stage as u8;
+        // Not within the condition below, whose `&&` would skip it at a new stage.
         let same_percent = self.sent[1].swap(percent, Ordering::Relaxed) == percent;
         if !(same_stage && same_percent) {
             let name = serde_json::to_value(stage).ok();

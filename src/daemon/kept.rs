@@ -52,6 +52,7 @@ impl PlanCache {
             fingerprint,
             plan: plan.clone(),
         });
+        // The new plan goes too, if it is too large alone.
         while self
             .plans
             .iter()

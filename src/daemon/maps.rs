@@ -69,6 +69,7 @@ fn scan_where(
     let mut found = Found::default();
     for place in depthmaps::default_folders(project) {
         if !place.starts_with(project.join(discover::OUTPUT_FOLDER)) {
+            // A folder that does not exist yet is reported by the one above it.
             let above = place
                 .ancestors()
                 .skip(1)

@@ -68,6 +68,7 @@ impl PlannedFrom {
         let bytes =
             input::read_all(output::open_own(project, RECORD).ok()?, FileKind::Record).ok()?;
         let record: Self = serde_json::from_slice(&bytes).ok()?;
+        // More than this program writes: somebody else made it.
         if record.files.len() > MOST_FILES {
             return None;
         }
@@ -95,6 +96,7 @@ fn files_in(set: &FileSet, project: &Path) -> Vec<String> {
         .files
         .keys()
         .map(|name| folder.join(name))
+        // Who empties the cache wants no other plan.
         .filter(|name| !name.starts_with("viewrank/cache"));
     inside
         .map(|name| name.to_string_lossy().into_owned())

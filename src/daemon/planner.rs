@@ -90,6 +90,7 @@ pub(super) fn outcome_of(planner: &dyn Planner, work: Work, job: &Job) -> Outcom
         Work::Plan => planner.plan(job),
         Work::Follow => planner.follow(job),
     };
+    // Safe, since the caches are consistent between any two statements (see `lock`).
     catch_unwind(AssertUnwindSafe(act)).unwrap_or_else(|_| Outcome::Failed {
         reason: "internal error; see the log".into(),
         hint: Some("run `viewrank plan` on it and report its output".into()),

@@ -58,6 +58,7 @@ fn group_memory(own: &Path, groups: &Path) -> Option<u64> {
         .ancestors()
         .map(|group| groups.join(group).join("memory.max"));
     limits
+        // A group without a limit says `max`, which is not a number.
         .filter_map(|file| std::fs::read_to_string(file).ok()?.trim().parse().ok())
         .min()
 }

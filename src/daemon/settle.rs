@@ -63,6 +63,7 @@ impl Entry {
             length: self.length.saturating_add(other.length),
             modified_ns: self.modified_ns.max(other.modified_ns),
             changed_ns: self.changed_ns.max(other.changed_ns),
+            // Rotated, so that two names of one file do not cancel out.
             inode: self.inode.rotate_left(1) ^ other.inode,
         }
     }
@@ -267,6 +268,7 @@ impl Stamp {
             .map(|(entry, images)| entry.changed_ns.max(images.changed_ns));
         let newest = files.chain(folders).max().unwrap_or(0);
         let newest = UNIX_EPOCH + Duration::from_nanos(u64::try_from(newest).unwrap_or(u64::MAX));
+        // A time in the future, such as of another machine's clock, counts as now.
         let ago = time.duration_since(newest).unwrap_or_default();
         heard
             .max(scanned.checked_sub(ago).unwrap_or(heard))
@@ -347,6 +349,7 @@ impl HashCache {
     ) -> io::Result<Fingerprint> {
         let mut hasher = blake3::Hasher::new();
         hasher
+            // Another version may plan the same input otherwise.
             .update(env!("CARGO_PKG_VERSION").as_bytes())
             .update(blake3::hash(settings).as_bytes());
         // `settings` already holds the content of a valid `viewrank.toml`.
@@ -368,6 +371,7 @@ impl HashCache {
             .values()
             .for_each(|(_, images)| _ = hasher.update(images.content.as_bytes()));
         let is_input = |path: &PathBuf| model.contains(path) || stamp.beside.contains_key(path);
+        // Files of former models would stay as long as the daemon runs.
         lock(cache)
             .0
             .retain(|path, _| !path.starts_with(project) || is_input(path));
@@ -389,6 +393,8 @@ impl HashCache {
             return Ok(*hash);
         }
         let hash = blake3::Hasher::new()
+            // A file that grows while it is read gets another entry, so the rest of it is not
+            // needed.
             .update_reader(file.take(entry.length))
             .map_err(named)?
             .finalize();

@@ -73,6 +73,7 @@ impl Holder {
             match lock.try_lock() {
                 Err(TryLockError::WouldBlock) => thread::sleep(INSTANT),
                 locked => {
+                    // A file system without locks must not keep the daemon from its work.
                     if let Err(TryLockError::Error(error)) = locked {
                         warn!(
                             "cannot lock {}: {error}; make sure that no other daemon watches it",
@@ -114,6 +115,7 @@ impl Holder {
             return false;
         };
         (0..TRIES).all(|_| {
+            // Shared, since several processes may ask at once.
             let is_held = matches!(lock.try_lock_shared(), Err(TryLockError::WouldBlock));
             if is_held {
                 thread::sleep(INSTANT);
@@ -171,6 +173,7 @@ impl StatusFiles {
             written: Status::default(),
             pace: Pace::default(),
         };
+        // Written at once: a path that cannot be written ends the start and does not fill the log.
         if let Some(path) = &metrics {
             let text = metrics_text(&BTreeMap::new());
             output::replace(path, text.as_bytes(), disk).map_err(DaemonError::Metrics)?;
@@ -305,6 +308,7 @@ impl RootStatus {
             } else {
                 slashes(relative)
             };
+            // Compared as paths, as the projects are sorted: as text, `a-b` comes before `a/b`.
             while before
                 .peek()
                 .is_some_and(|b| Path::new(&b.project) < Path::new(&project))
@@ -314,6 +318,7 @@ impl RootStatus {
             let phase = tracked.phase();
             let same = before.peek().filter(|b| {
                 b.project == project
+                    // A phase that only counts on keeps its start.
                     && std::mem::discriminant(&b.phase) == std::mem::discriminant(&phase)
             });
             let since = same.map_or_else(seconds_now, |b| b.since);

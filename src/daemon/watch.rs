@@ -158,6 +158,7 @@ fn send<T: From<Change>>(changes: &Sender<T>, event: notify::Result<notify::Even
     // Fails where the daemon has ended.
     let _ = match event {
         Ok(event) if event.need_rescan() => changes.send(Change::Lost.into()),
+        // Scans raise them, too.
         Ok(event) if event.kind.is_access() => Ok(()),
         Ok(event) => {
             let change = match event.kind {

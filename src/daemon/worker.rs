@@ -130,6 +130,7 @@ fn write_line(to: &mut impl Write, line: &impl Serialize) -> io::Result<()> {
 pub fn serve(planner: &PlanJob, follow_links: bool, end: impl FnOnce() + Send + 'static) {
     platform::prefer_to_be_killed();
     let (sender, requests) = channel();
+    // In a thread of its own, so that a cancellation arrives during a job.
     thread::spawn(move || {
         receive(&sender);
         end();
@@ -189,6 +190,7 @@ impl Workers {
     /// Returns an idle worker, best the one that has served the project last, or starts one.
     fn take(&self, project: &Path) -> io::Result<Worker> {
         let mut idle = lock(&self.idle);
+        // One that was killed while it was idle must not get a job.
         idle.retain_mut(|worker| matches!(worker.process.try_wait(), Ok(None)));
         match idle
             .iter()
@@ -311,6 +313,7 @@ impl Worker {
 impl Drop for Worker {
     /// Ends the process, by the end of its input.
     fn drop(&mut self) {
+        // `wait` closes its standard input first.
         _ = self.process.wait();
     }
 }

@@ -123,6 +123,7 @@ pub fn watch_roots(
         })
     });
     let mut roots = found.collect::<Result<Vec<_>, _>>()?;
+    // Sorted, a folder comes before those in it, which it already covers.
     roots.sort();
     roots.dedup_by(|inner, outer| inner.starts_with(outer));
     let holders = roots
@@ -203,6 +204,7 @@ impl<'a> Daemon<'a> {
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => self.stopping = true,
             }
+            // All events that are here by now share the next scan.
             while let Ok(event) = events.try_recv() {
                 self.handle(event);
             }
@@ -264,6 +266,7 @@ impl<'a> Daemon<'a> {
         }
         match tracked.result() {
             _ if abandoned => {}
+            // A restart would log each of the plans that it finds current.
             same if is_unchanged && *same == before => {}
             Phase::Failed { reason, .. } => warn!(project = %project.display(), %reason, "failed"),
             phase => info!(project = %project.display(), "{phase}"),
@@ -371,6 +374,8 @@ impl<'a> Daemon<'a> {
         let due = self
             .projects
             .values()
+            // What waits for a slot or for memory has been due for a while, and would keep the loop
+            // from sleeping; the end of another job wakes it.
             .filter(|tracked| !tracked.is_queued());
         let due = due
             .filter_map(|t| t.due(self.options.settle))

@@ -74,6 +74,7 @@ impl Scans {
 
     fn gather(&mut self, now: Instant) {
         self.gather_until
+            // The first change sets the time, or a steady writer would put the scan off forever.
             .get_or_insert((now + GATHER).max(self.rest_until));
     }
 
@@ -165,6 +166,7 @@ impl Daemon<'_> {
         if let Some(notice) = self.watches.notice() {
             self.status.notice(notice.clone());
         }
+        // A root that is gone, or a watch that failed, shortens the pause.
         self.scans.next_full = self.scans.next_full.min(now + self.pause());
     }
 
@@ -196,6 +198,7 @@ impl Daemon<'_> {
 
     fn scan_everything(&mut self, now: Instant) {
         let lost = self.scans.lost;
+        // Cleared before the search, which may add to it.
         self.scans = Scans {
             everything: false,
             rest_until: self.scans.rest_until,
@@ -326,6 +329,7 @@ fn is_own_output(project: &Path, path: &Path, is_gone: bool) -> bool {
     let is_hidden = inside
         .components()
         .any(|part| part.as_os_str().as_encoded_bytes().starts_with(b"."));
+    // Without an extension it may be a new folder of depth maps.
     is_hidden || !is_gone && path.extension().is_some() && !depthmaps::is_of_a_map(inside)
 }
 
@@ -341,6 +345,7 @@ fn folders_to_watch(
     let named = named
         .iter()
         .filter_map(|file| file.parent().map(Path::to_path_buf));
+    // Files outside of the project are compared at the next scan of everything.
     let named = named.filter(|folder| folder.starts_with(project) && !folder.starts_with(&own));
     let mut folders: BTreeSet<PathBuf> = input.all().cloned().chain(maps).chain(named).collect();
     folders.extend(Some(own).filter(|own| own.is_dir()));

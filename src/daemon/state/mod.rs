@@ -309,6 +309,7 @@ impl TrackedProject {
                 return true;
             }
             (Work::Plan, _) => self.concluded = !job.overtaken,
+            // Nothing is recorded, so that the maps stay due.
             (Work::Follow, Outcome::Failed { .. } | Outcome::Aside { .. }) => {}
             (Work::Follow, _) if cancelled => {}
             (Work::Follow, _) => self
@@ -324,6 +325,7 @@ impl TrackedProject {
     /// `times`: start of the job, and now.
     fn conclude(&mut self, work: Work, outcome: Outcome, times: [Instant; 2]) {
         let [started, now] = times;
+        // Counted for a failure alone: any other outcome starts again from 0.
         let failures = self.failures + 1;
         (self.failures, self.retry) = (0, None);
         let result = match outcome {
@@ -419,6 +421,7 @@ fn waiting(stamp: &Stamp) -> Phase {
 
 fn retry_after(failures: u32) -> Duration {
     FIRST_RETRY
+        // The shift must stay below 32; the longest pause is reached long before.
         .saturating_mul(1 << (failures - 1).min(16))
         .min(LONGEST_RETRY)
 }
