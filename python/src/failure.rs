@@ -64,6 +64,8 @@ impl From<Failure> for PyErr {
             let error =
                 class.and_then(|class| class.call1((&failure.message, failure.hint, failure.path)));
             error.map_or_else(
+                // The message must arrive even if the Python part of the package cannot be
+                // imported.
                 |_| PyRuntimeError::new_err(failure.message),
                 PyErr::from_value,
             )

@@ -84,6 +84,7 @@ impl Model {
         runner.run(py, |_| {
             let images = images.map(|images| std::path::absolute(&images).unwrap_or(images));
             if let Some(images) = &images {
+                // COLMAP's own file: plans of this folder find the images by it, too.
                 let path = model.join("project.ini");
                 output::replace(
                     &path,
@@ -115,6 +116,7 @@ impl Model {
         folder: Option<PathBuf>,
         runner: Runner,
     ) -> PyResult<Self> {
+        // A negative index becomes one that no list has, and is refused with the others.
         let index = |i: i64| usize::try_from(i).unwrap_or(usize::MAX);
         let arrays = SceneArrays {
             cameras: cameras
@@ -207,6 +209,7 @@ impl Model {
         };
         let table: Vec<Vec<f64>> = self.0.scene.views.iter().map(row).collect();
         if table.is_empty() {
+            // `from_vec2` takes the number of columns from the first row.
             return Ok(PyArray2::zeros(py, [0, 12], false));
         }
         Ok(PyArray2::from_vec2(py, &table)?)

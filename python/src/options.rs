@@ -37,6 +37,7 @@ const KEYWORDS: [(&str, &str); 20] = [
     ("gsd", "target.gsd"),
     ("up", "surface.up"),
     ("k", "partners.k"),
+    // No setting: advice names it, and `plan()` takes it by itself.
     ("model", ""),
 ];
 
@@ -99,6 +100,7 @@ fn amount(key: &str, value: &Bound<'_, PyAny>) -> PyResult<Value> {
     let number = value
         .extract::<f64>()
         .ok()
+        // To Python, True is a number.
         .filter(|_| !value.is_instance_of::<PyBool>());
     let is_whole = value.is_instance_of::<PyInt>();
     let text = match (key, number) {
@@ -138,6 +140,7 @@ fn setting(value: &Bound<'_, PyAny>) -> PyResult<Value> {
     if value.is_instance_of::<PyBool>() {
         return Ok(value.extract::<bool>()?.into());
     }
+    // Before the real numbers, to which Python converts it too.
     if let Ok(whole) = value.extract::<i64>() {
         return Ok(whole.into());
     }

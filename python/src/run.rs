@@ -118,6 +118,7 @@ impl Runner {
             let result = py
                 .detach(|| worker.join())
                 .unwrap_or_else(|panic| resume_unwind(panic));
+            // What was raised is the cause; the result says no more than that it was cancelled.
             raised?;
             Ok(result?)
         })

@@ -139,6 +139,7 @@ fn is_json(typed: &[String]) -> bool {
     let typed: Vec<&str> = typed
         .iter()
         .map(String::as_str)
+        // Behind `--` all words are paths.
         .take_while(|word| *word != "--")
         .collect();
     typed.contains(&"--format=json") || typed.windows(2).any(|two| two == ["--format", "json"])
@@ -150,6 +151,7 @@ pub fn parse(typed: Vec<OsString>) -> Result<Arguments, Failure> {
         if !error.use_stderr() {
             error.exit();
         }
+        // Printed as clap does it; the words are kept for the error in JSON.
         _ = error.print();
         let rendered = error.render().to_string();
         let message = rendered
@@ -265,6 +267,7 @@ fn suggest(mut error: Error) -> Error {
                 .split_once('=')
                 .map_or(typed.as_str(), |(name, _)| name)
                 .to_lowercase();
+            // Not every subcommand has the option that is meant.
             let option = meant_by(&typed, &OPTIONS).filter(|meant| is_known(meant));
             let tip = option.map(|meant| format!("the option is {meant}"));
             let tip = tip
@@ -298,6 +301,7 @@ fn meant_by_word(typed: &str) -> Option<String> {
     let words = typed_words();
     let last = words.iter().position(|word| word.to_lowercase() == typed)?;
     let whole = |first: usize| words[first..=last].join(" ");
+    // From 2, behind the program and its subcommand.
     if let Some(path) = (2..last).map(whole).find(|path| Path::new(path).exists()) {
         return Some(format!("quote a path with blanks: {}", command_word(&path)));
     }

@@ -53,6 +53,7 @@ pub fn man(arguments: &ManArguments) -> Result<(), Failure> {
 /// the name of its manual page).
 fn definition(subcommand: Option<&str>) -> Result<Command, Failure> {
     let mut program = super::Arguments::command();
+    // Only then do subcommands have their full names.
     program.build();
     let Some(name) = subcommand else {
         return Ok(program);

@@ -83,6 +83,7 @@ fn load_in(
         root: None,
         project: folder.map(|folder| folder.join("viewrank.toml")),
     };
+    // The loader asks for a number alone, so the reason why there is none waits here.
     let unread = Cell::new(None);
     let metres = |settings: &Settings| {
         let read = metres_per_unit(project?, settings);

@@ -136,6 +136,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         .dispatch;
     let cut = plan.cut_at(arguments.budget, arguments.target);
     let (dispatch, exported) = Dispatch::of_plan(&plan, backend, cut)?;
+    // Until the end, since another dispatch or run would start the same tasks.
     let _held = if arguments.dry_run {
         None
     } else {
@@ -360,6 +361,7 @@ fn by_hand(job: &Job) -> [String; 2] {
             "  one by one       {start}{{ for rank in $(seq {last}); do {viewrank} --rank $rank; done; {viewrank} --fuse; }}"
         ),
         format!(
+            // Without `-q`, a shell would read the words once more.
             "  with parallel    {start}{{ seq {last} | parallel -q -j {jobs} {viewrank} --rank; {viewrank} --fuse; }}"
         ),
     ]

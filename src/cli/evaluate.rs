@@ -139,6 +139,7 @@ fn record(
 ) {
     let place = |folder: &Path| folder.canonicalize().ok();
     let own = own_folder_of_maps(plan, project).filter(|own| place(own) == place(folder));
+    // Measured by something else than the plan, they are no progress of it.
     let is_other = arguments.reference.is_some() || arguments.clusters.is_some();
     let Some(own) = own.filter(|_| !is_other && arguments.out.is_none()) else {
         return;
@@ -248,6 +249,7 @@ fn measure(
     if let Some(folder) = &arguments.dump_tables {
         let mut set = FileSet::new(folder, "tables");
         evaluate::tables::add(plan, &run, &mut set);
+        // Not limited to the project: the user has named the folder.
         set.write(&Disk::REAL)?;
     }
     progress.finish();
@@ -403,6 +405,7 @@ fn shares_of_cells(e: &Evaluation) -> Vec<String> {
     for gap in e
         .gap
         .chunk_by(|one, next| one.clusters == next.clusters)
+        // Of several shares that the same maps reach, the highest.
         .filter_map(<[_]>::last)
     {
         let [share, real, agreeing] = [gap.share, gap.real, gap.agreeing].map(|of| 100.0 * of);

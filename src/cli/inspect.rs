@@ -142,6 +142,7 @@ impl Inspection {
             if is_stdout_terminal() {
                 wrapped(&format!("{name:<25}"), value)
             } else {
+                // One line for each, for `grep` and the like.
                 vec![format!("{name:<25}{value}")]
             }
         };

@@ -28,6 +28,7 @@ pub fn start(format: LogFormat) {
     let filter =
         wanted.unwrap_or_else(|| Targets::new().with_target("viewrank", LevelFilter::INFO));
     let log = tracing_subscriber::fmt()
+        // The filter decides; by default the library drops all below INFO, whatever RUST_LOG says.
         .with_max_level(LevelFilter::TRACE)
         .with_target(false);
     // The library's own format leaves values as they are.

@@ -48,6 +48,7 @@ pub fn for_other_project(typed: &Path, project: &str, backend: &str) -> String {
     let (mut command, mut is_replaced, mut has_backend) = ("viewrank".to_owned(), false, false);
     for word in typed_words().into_iter().skip(1) {
         has_backend |= word == "--backend" || word.starts_with("--backend=");
+        // Only the first: an option may have the same word as its value.
         if !is_replaced && word == typed {
             is_replaced = true;
             command += &format!(" {project}");
@@ -81,6 +82,7 @@ pub fn next(
             .stages
             .image_faults
             .is_any_usable(plan.stages.scene.views.len());
+    // Called last, since it starts programs to ask them what they can do.
     let can_match = || cfg!(unix) && has_images && backend.is_some_and(backends::can_match_here);
     let distorted = || {
         plan.stages

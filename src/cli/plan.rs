@@ -220,6 +220,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let progress = ProgressDisplay::new(arguments.quiet);
     let mut plan = planned(arguments, &project, &settings, &progress)?;
     let files = files_of_same_model(&plan, &project)
+        // Nothing else would print them.
         .inspect_err(|_| plan.warnings.iter().for_each(|warning| warn(warning)))?;
     if !arguments.dry_run {
         write(arguments, &project, &plan, &files, &progress)?;
@@ -239,6 +240,8 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     report(arguments, &project, &plan, &files, asked)?;
     match &files.not_exported[..] {
         missing if arguments.backend.is_some() && !missing.is_empty() => {
+            // The plan itself is written and printed, but a script needs the export that it asked
+            // for.
             Err(Failure::from(ExportFailure(missing.to_vec())).behind_result())
         }
         _ => Ok(()),
@@ -258,6 +261,7 @@ impl Input {
         let project = Project::open_or_planned(&arguments.project, arguments.model.as_deref())?;
         let settings = config::load(Some(&project), arguments.typed())?.settings;
         let project = project.with_images(settings.images.as_deref());
+        // The plan before is where this one is written.
         let at_home = match &arguments.out {
             Some(out) => &project.clone().with_home(out),
             None => &project,
@@ -763,6 +767,7 @@ fn write(
     if let Some(folder) = &arguments.dump_tables {
         let mut set = FileSet::new(folder, "tables");
         tables::add(plan, &mut set);
+        // Not limited to the project: the user has named the folder.
         set.write(&Disk::REAL)?;
     }
     if let Some(path) = &arguments.dump_surface {

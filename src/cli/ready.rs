@@ -27,6 +27,7 @@ pub fn check(
 ) -> Result<(), Failure> {
     let image_faults = project.image_faults(&scene);
     let has_images = project.images.is_some() && image_faults.is_any_usable(scene.views.len());
+    // The run undistorts the images only after this check.
     let scene = undistort::with_undistorted_cameras(scene);
     let mut views = scene.view_indices();
     let (Some(key), Some(partner)) = (views.next(), views.next()) else {

@@ -136,6 +136,7 @@ fn watched_root(from: &Path) -> Result<PathBuf, NoStatus> {
     }
     let found = absolute
         .ancestors()
+        // A link counts: it is refused by name, and not passed over for a folder above.
         .find(|folder| status_file(folder).symlink_metadata().is_ok());
     let root = found.ok_or_else(|| NoStatus::NotWatched(from.into()))?;
     read_status(root)

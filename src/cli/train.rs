@@ -150,6 +150,7 @@ fn prepare(
     let found = depthmaps::find(&folder, &scene)?.into_complete()?;
     let backend = backend(arguments, &found.maps[0].format);
     settings.confidence.source = ConfidenceSource::Photometric;
+    // That of the maps, whichever the plan was for.
     settings.backends = vec![backend.clone()];
     let plan = Plan::from_scene(
         &project,

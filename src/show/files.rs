@@ -120,6 +120,7 @@ impl Hint for FilesError {
 /// As [`files`]; a model that has changed is the error even if its files are gone.
 pub fn files_of_same_model(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     let files = files(plan, project);
+    // After them, since the model may change while they are collected.
     project.refuse_changed_model()?;
     files
 }

@@ -55,6 +55,7 @@ fn line(plan: &Plan, project: &Project, record: &str) -> Option<String> {
     let (folder, in_tiles) = place::folder_of_record(record)?;
     let exported: EarlierExport =
         serde_json::from_slice(&read_own(&project.home, record, FileKind::Record).ok()?).ok()?;
+    // The record may be anybody's: no word of it is printed but a known name.
     let backend = by_name(&exported.backend).ok()?.name;
     if is_part(&exported, plan) {
         return None;

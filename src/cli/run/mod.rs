@@ -144,6 +144,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     while work.fell_short(ended) {
         let planned = work.length();
         work = work.replanned()?;
+        // Without more maps than before, the next round would fall short again.
         if work.length() <= planned {
             break;
         }
@@ -201,6 +202,7 @@ fn typed_for(
 ) -> Result<CommandLineSettings, Failure> {
     let is_own = root == own;
     let mut planned = options_of_maps(root);
+    // The first run in a new workspace goes on as the project itself was planned.
     if planned.is_empty() {
         planned = options_of_maps(own);
     }

@@ -32,6 +32,7 @@ pub fn run(arguments: &Arguments, product: Product, stop: &AtomicBool) -> Result
         }
     };
     dispatch.refuse_strangers()?;
+    // The fusion is wanted at the target, too.
     if matches!(product, Product::Map(_)) && ends_at_target(root, &dispatch, say) {
         return Ok(());
     }

@@ -121,6 +121,7 @@ impl<'a> Work<'a> {
         warnings_with(&plan.warnings, std::slice::from_ref(&export.record), &[])
             .iter()
             .for_each(|warning| warn(warning));
+        // Before the export is written, which another run may be working on.
         let held = dispatch.hold()?;
         let tools = Tools::find(&dispatch, arguments.program.as_deref())?;
         let folder = export.files.root.clone();
@@ -155,6 +156,7 @@ impl<'a> Work<'a> {
             _held: held,
             ..
         } = self;
+        // Or `new` could not take the lock.
         drop(held);
         let next = Self::new(arguments, backend, foreground, stop, PlanWhen::AroundMaps)?;
         Ok(Self {
@@ -250,6 +252,7 @@ impl<'a> Work<'a> {
             }
             in_a_row = match ended {
                 TaskResult::Failed(output) => {
+                    // A single map that fails leaves nothing to go on with.
                     if in_a_row + 1 == FAILURES || missing.len() == 1 {
                         return Err(self.broken(task, in_a_row, &output));
                     }
@@ -286,6 +289,7 @@ impl<'a> Work<'a> {
     /// Measures the finished depth maps, unless the last measurement was recent; true if the target
     /// is reached.
     fn measure(&mut self, is_last: bool) -> bool {
+        // An earlier share would be printed beside a map that it does not count.
         self.share = None;
         if !(is_last || self.measured.is_due(REST)) {
             return false;
@@ -392,6 +396,7 @@ impl<'a> Work<'a> {
                 return Err(self.stopped());
             }
             note("fusing the depth maps that are there; Ctrl-C again leaves that");
+            // The fusion ends as soon as it is set again.
             self.stop.store(false, Ordering::Relaxed);
             self.measure(true);
         }

@@ -61,10 +61,12 @@ pub fn fingerprint(
         let length = fs::metadata(&path).map_err(failed)?.len();
         hasher.update(&length.to_le_bytes());
         hasher
+            // As long as it was when its length was hashed, even if it grows.
             .update_reader(input::open(&path).map_err(failed)?.take(length))
             .map_err(failed)?;
     }
     for map in maps_outside(project, scene, settings) {
+        // Always as many bytes, also without a hash, so that nothing behind them moves up.
         let hash = ends(&map).map_or([0; blake3::OUT_LEN], |hash| *hash.as_bytes());
         hasher.update(&hash);
     }
@@ -81,6 +83,7 @@ pub fn fingerprint(
         // The contents of a picture that cannot be read are left out.
         (size, read.map(|path| ends(&path?).ok()))
     };
+    // Only reading is parallel: the hash depends on the order of the views.
     let of_views: Vec<_> = scene.views.par_iter().map(of_view).collect();
     for (view, (size, pictures)) in scene.views.iter().zip(of_views) {
         hasher
@@ -112,6 +115,7 @@ fn ends(path: &Path) -> io::Result<blake3::Hash> {
     hasher.update(&length.to_le_bytes());
     io::copy(&mut (&file).take(END), &mut hasher)?;
     if length > END {
+        // Never within the beginning, which is hashed already.
         file.seek(SeekFrom::Start(END.max(length - END)))?;
         io::copy(&mut file.take(END), &mut hasher)?;
     }

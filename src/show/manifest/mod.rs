@@ -346,6 +346,7 @@ fn clusters(plan: &Plan) -> Vec<ClusterEntry> {
             .collect()
     };
     let mut work = 0.0;
+    // Adds up, so the entries are made in the order of the ranking.
     let mut work_to = |i: usize| {
         if plan.stages.makes_maps {
             work += plan.stages.share_of_work(

@@ -338,6 +338,7 @@ impl WrittenPlan {
     pub fn cut_at(&self, budget: Option<Budget>, target: Option<Share>) -> usize {
         let all = self.clusters.len();
         let by_budget = match budget {
+            // With maps of two sizes, a percentage is one of the work.
             Some(Budget::Views(share)) if self.settings.ranking.has_half() => {
                 self.work.partition_point(|&work| work <= share.0)
             }
@@ -345,6 +346,7 @@ impl WrittenPlan {
             None => all,
         };
         let by_target = target.map_or(all, |target| {
+            // With the first cluster that reaches the target.
             self.clusters.partition_point(|c| c.share < target.0) + 1
         });
         if budget.is_none() && target.is_none() {
@@ -403,6 +405,7 @@ impl RecordedPlan {
         let mut recorded: Self = serde_json::from_slice(bytes)
             .map_err(|error| refused(place_and_fault(&error, bytes)))?;
         check(&recorded).map_err(refused)?;
+        // The file may be a stranger's, and its options are shown in commands to copy.
         recorded.typed.retain(TypedSetting::is_of_plan);
         // The manifest is in PROJECT/viewrank.
         let home = path.ancestors().nth(2).map_or_else(PathBuf::new, absolute);

@@ -33,6 +33,7 @@ const FIGURES: [(char, [u8; 5]); 4] = [
 /// Returns a PNG: the image, to its right its confidence in colour at the same scale, then the
 /// legend from 1 (top) to 0. `at`: the confidence at a pixel's column and row; grey if `None`.
 pub fn confidence_picture(image: &Image, at: impl Fn(u32, u32) -> Option<f32>) -> Vec<u8> {
+    // The digits of the legend need some height.
     let (width, height) = (image.width, image.height.max(40));
     let mut picture = RgbImage::from_pixel(2 * width + LEGEND, height, Rgb([255; 3]));
     for y in 0..image.height {

@@ -26,6 +26,7 @@ pub fn expected_success(
         0..height,
     );
     let mut drawn: Vec<u32> = shown.iter().copied().filter(|&t| t != NOTHING).collect();
+    // The chance is computed once for each triangle, and not for each pixel.
     drawn.sort_unstable();
     drawn.dedup();
     let chance = |&triangle: &u32| {

@@ -35,6 +35,7 @@ pub fn views_geojson(plan: &Plan, place: &Georeference) -> String {
     let local = *place == Georeference::Local;
     let position = |point: &Point3<f64>| match place.geodetic(point) {
         Some(at) => [
+            // A billionth of a degree is a tenth of a millimetre.
             to_decimals(at.longitude, 9),
             to_decimals(at.latitude, 9),
             to_decimals(at.height, 4),

@@ -97,6 +97,7 @@ fn draw_surface(
     states: &[TriangleState],
 ) {
     let size = (WIDTH - 2.0 * MARGIN) / (triangles.len() as f64).sqrt().clamp(8.0, CELLS);
+    // Sorted, so that the same plan gives the same bytes.
     let mut cells = BTreeMap::<(i64, i64), TriangleState>::new();
     for (places, state) in triangles.iter().zip(states) {
         for place in places {
@@ -140,6 +141,7 @@ impl Sheet {
         let sides = [high[0] - low[0], high[1] - low[1]];
         let longest = sides[0].max(sides[1]);
         (longest >= 0.0).then(|| {
+            // A single point has no extent.
             let scale = (WIDTH - 2.0 * MARGIN) / longest.max(f64::MIN_POSITIVE);
             Self {
                 low,

@@ -155,6 +155,7 @@ impl Scale {
             .iter()
             .flat_map(|line| &line.points)
             .map(|point| point.0)
+            // Not 0, by which an empty plot would divide.
             .fold(1.0, f64::max);
         let step = tick_step(most);
         Self {

@@ -51,6 +51,7 @@ pub fn for_each_step(plan: &Plan, mut visit: impl FnMut(usize, u32, f32)) {
     let mut reached = Reached::new(&plan.stages.objective);
     let maps = plan.stages.maps();
     for (rank, (cluster, scale)) in plan.decision.ranking.maps().enumerate() {
+        // Pages of a table on disk would otherwise stay in memory, one after the other.
         if rank.is_multiple_of(column::READ_AT_ONCE) {
             maps.release();
         }
