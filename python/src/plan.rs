@@ -70,6 +70,7 @@ impl Plan {
         let held = model.held();
         runner.run(py, move |watcher| {
             let settings = options::load(&held.project.root, typed)?;
+            // A copy, since the same model may be planned again.
             let plan = viewrank::plan_scene(&held.project, held.scene.clone(), &settings, watcher)?;
             Ok(Self(Arc::new(Planned {
                 plan,

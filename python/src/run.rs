@@ -94,6 +94,7 @@ impl Runner {
         py: Python<'_>,
         work: impl FnOnce(&dyn Watcher) -> Result<T, Failure> + Send,
     ) -> PyResult<T> {
+        // A pool of its own: the global one can be made only once in a process.
         let pool = match self.threads {
             Some(threads) => Some(
                 rayon::ThreadPoolBuilder::new()

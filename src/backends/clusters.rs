@@ -18,6 +18,7 @@ impl ClusterScript {
     pub fn new(results: &[String], preparation: &str) -> Self {
         let head = strangers::with_refusal(HEAD);
         Self(format!(
+            // Names of results have hashes, ids and underscores only, so the quotes are safe.
             "{head}results='{}'\n{preparation}",
             results.join(" ")
         ))

@@ -117,6 +117,7 @@ fn release(help: &str) -> Option<Version> {
         parts.next()??,
         parts.next().unwrap_or(Some(0))?,
     ];
+    // `4.2.0.dev0` comes before the release, and may lack its repairs.
     parts.next().is_none().then_some(Version(version))
 }
 

@@ -104,6 +104,7 @@ fn project_of(root: &Path) -> Option<PathBuf> {
 fn steps() -> [String; 3] {
     [
         format!("tried rm -rf \"{PROJECT}/opensfm/undistorted/openmvs\""),
+        // The files and not the links, which may lead to where the container sees nothing.
         format!("tried cp -rL openmvs \"{PROJECT}/opensfm/undistorted/\""),
         format!(
             "docker run --rm -v \"$(dirname \"{PROJECT}\")\":/datasets \"{ENGINE}\" --project-path /datasets \"$(basename \"{PROJECT}\")\""

@@ -152,6 +152,7 @@ fn commands(selection: &Selection, views: &[ViewIndex], has_tests: bool) -> Vec<
         .iter()
         .all(|&v| selection.scene.camera_of(v).is_pinhole());
     let gsplat = format!(
+        // With another factor, gsplat takes reduced images from `images_N`, by position.
         "python \"${{GSPLAT:?folder of gsplat}}\"/examples/simple_trainer.py default --data_dir {folder} --data_factor 1 --test_every {}",
         // gsplat holds out every n-th image from the first on. With more than there are, it is the
         // first alone.

@@ -227,6 +227,7 @@ fn batch_script(selection: &Selection) -> String {
         let folder = format!("projects/{name}");
         let calls = calls(selection, cluster, &folder, "sure.exe")
             .join(" && ")
+            // cmd takes a slash for the start of an option.
             .replace('/', "\\");
         let folder = folder.replace('/', "\\");
         format!(

@@ -67,6 +67,7 @@ fn reduced_model(
     workspace: &Workspace,
     origin: Vector3<f64>,
 ) -> Result<Vec<(&'static str, Vec<u8>)>, BackendError> {
+    // By name: the images of the model on the disk are in an order of their own.
     let names = |views: &[ViewIndex]| -> HashSet<&str> {
         views.iter().map(|&v| selection.scene.name(v)).collect()
     };

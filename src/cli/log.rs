@@ -69,6 +69,7 @@ impl<W: Write> Write for JsonLines<W> {
     fn write(&mut self, line: &[u8]) -> io::Result<usize> {
         self.0
             .write_all(json_escaped(&String::from_utf8_lossy(line)).as_bytes())?;
+        // The length of what was given, as `Write` wants it, not of what it became.
         Ok(line.len())
     }
 

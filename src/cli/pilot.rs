@@ -135,6 +135,7 @@ fn small(settings: Settings, scene: &Scene, matcher: &Matcher) -> Settings {
     let own = own.unwrap_or_else(|| matcher.image_scale(scene));
     let least = LEAST_SIDE / longest_side(scene).max(1.0);
     let mut small = Settings {
+        // Never above the program's own size, even if that is below the least side.
         image_scale: Some((own / SMALLER).max(least).min(own)),
         backends: vec![matcher.name.into()],
         cut: CutSettings {

@@ -307,6 +307,7 @@ fn planned(
     let plan = planning::plan(project, settings, progress)
         .map_err(|error| refused(error, arguments, project, settings))?;
     if !arguments.dry_run {
+        // Before the earlier plan is read, which a killed run may have left half written.
         output::recover(&project.home, &project.disk())?;
     }
     let finished = match &arguments.finished {

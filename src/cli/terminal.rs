@@ -80,6 +80,7 @@ fn write(text: &str) -> Result<(), Failure> {
     let mut stdout = std::io::stdout().lock();
     match stdout
         .write_all(text.as_bytes())
+        // Flushed here: at exit, nobody would hear of an error.
         .and_then(|()| stdout.flush())
     {
         Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(Failure::new(
@@ -160,6 +161,7 @@ fn wrapped_at(columns: usize, heading: &str, words: &str) -> Vec<String> {
     let indent = " ".repeat(heading.len());
     let (mut lines, mut line) = (Vec::new(), heading.to_owned());
     let mut empty = true;
+    // Not at all white space: two blanks in a path stay two.
     for word in words.split(' ') {
         if !empty && line.chars().count() + 1 + word.chars().count() > columns {
             lines.push(std::mem::replace(&mut line, indent.clone()));

@@ -110,6 +110,7 @@ const WORKER: &str = "--worker";
 
 pub fn run(arguments: Arguments) -> Result<(), Failure> {
     log::start(arguments.log_format);
+    // Before any thread or worker starts, since these take it over.
     machine::lower_priority();
     let once = arguments.once;
     let on_target = arguments.on_target.clone();

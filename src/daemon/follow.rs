@@ -429,6 +429,7 @@ impl TargetForecast {
         let wanted = ranking::as_part_of_rest(target.max(share), share, expected);
         let reached = curve
             .clusters_for(wanted * total)
+            // A target that only maps behind the list would reach is out of reach.
             .filter(|&n| n <= cut.max(done));
         let pairs = |n: usize| curve.pairs[n].saturating_sub(curve.pairs[done]);
         Self {
@@ -500,6 +501,7 @@ fn seconds_per_pair(plan: &Plan, run: &MeasuredClusters, folder: &Path) -> Optio
         times.push((time(&map.path)?, cluster.partners.len()));
     }
     times.sort_unstable();
+    // The time between two maps is that of the later one.
     let gap = |w: &[(SystemTime, usize)]| {
         Some((w[1].0.duration_since(w[0].0).ok()?.as_secs_f64(), w[1].1))
     };

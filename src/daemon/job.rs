@@ -373,6 +373,7 @@ impl PlanJob {
         let command = match &self.options.on_target {
             Some(command) => Some(command.clone()),
             None => match Configuration::load(
+                // The user's own file alone: a command in a project would be a stranger's.
                 &Files {
                     user: user_file(),
                     ..Files::default()

@@ -108,6 +108,7 @@ impl Images {
                 inode,
             } = found.map_or(Entry::NONE, |found| Entry::from_metadata(&found));
             for hasher in [&mut metadata, &mut content] {
+                // No name has a 0 byte, so that this ends it.
                 hasher.update(name.as_encoded_bytes()).update(&[0]);
                 hasher
                     .update(&length.to_le_bytes())

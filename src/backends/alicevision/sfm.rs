@@ -24,6 +24,7 @@ pub fn image_path(scene: &Scene, view: ViewIndex) -> String {
     let extension = Path::new(scene.name(view))
         .extension()
         .map_or("jpg".into(), |e| e.to_string_lossy().to_ascii_lowercase());
+    // Named as AliceVision's prepareDenseScene names them.
     format!("images/{}.{extension}", scene.view(view).image_id)
 }
 
@@ -201,6 +202,7 @@ fn landmark_entry(scene: &Scene, id: usize, (point, views): &Track) -> Landmark 
     let pixel = |view: ViewIndex| {
         track
             .clone()
+            // A view that observes the point twice gives its first pixel.
             .find(|&i| scene.track_views[i] == view)
             .map_or([0.0; 2], |i| scene.track_pixels[i].map(|c| c + PIXEL_SHIFT))
     };

@@ -154,6 +154,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     let workspace = workspace.filter(|_| options.out.is_none());
     let names = ListedNames::new(selection, workspace);
     let passes = Passes::new(&names, selection, options);
+    // All names in the lists: `--refs all` lists views of no cluster.
     passes.names().try_for_each(cfg::check_listed)?;
     let mut record = ExportRecord::new(&BACKEND, selection, |v| selection.scene.name(v).into());
     passes.describe(selection, &mut record);
@@ -382,6 +383,7 @@ impl<'a> Passes<'a> {
             .iter()
             .map(|p| p.reference.clone() + "\n")
             .collect();
+        // Without a heading: COLMAP takes each line of this file for a name.
         files.add_text("stereo/fusion.cfg", fused);
         let passes = if self.geometric {
             self.add_batches(selection, files)

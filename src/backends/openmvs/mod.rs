@@ -246,6 +246,7 @@ fn record_of(selection: &Selection) -> ExportRecord {
     record.made_for =
         "OpenMVS v2.0 to v2.4 and develop (run with v2.3.0 and develop 36f303d)".into();
     record.way = "one scene per cluster".into();
+    // `-I`: the folder may be a stranger's, and no module in it is imported.
     record.commands = vec!["python3 -I run.py".into()];
     record
         .not_honoured

@@ -38,10 +38,12 @@ const RANGE: [f64; 2] = [0.8, 1.25];
 const OPTIONS: [&str; 10] = [
     "--verbosity",
     "1",
+    // The size of the images comes from `--max-resolution` alone.
     "--resolution-level",
     "0",
     "--min-resolution",
     "16",
+    // By default 5 partners are taken, or 8 with CUDA.
     "--number-views",
     "0",
     // The partners have no maps.

@@ -170,6 +170,7 @@ impl Dialect {
                 self.camera(selection, lists, at)?,
             );
             files.add(
+                // The readers ask for this extension, whatever the image is.
                 format!("{folder}images/{i:08}.jpg"),
                 images.link(selection.scene.name(view)),
             );

@@ -247,6 +247,7 @@ impl<'a> Work<'a> {
             }
             let since = Instant::now();
             let ended = self.dispatch.compute(task, &self.runner())?;
+            // Ctrl-C may also come when the task has just ended.
             if ended == TaskResult::Stopped || self.stop.load(Ordering::Relaxed) {
                 return Ok(Ended::Stopped);
             }
@@ -275,6 +276,7 @@ impl<'a> Work<'a> {
             let left =
                 began.elapsed().as_secs_f64() / (i + 1) as f64 * (missing.len() - i - 1) as f64;
             self.line(task, since.elapsed(), left);
+            // After the last map, the final fusion follows anyway.
             if i + 1 < missing.len() && !reached {
                 self.fuse_so_far();
             }

@@ -292,6 +292,7 @@ impl Daemon<'_> {
         let new_watches = self
             .watches
             .add(&folders_to_watch(project, &input, map_folders, &named));
+        // Read after the watches are set, so that any later change raises an event.
         let stamp = Stamp::of_folders(&input).with(&named);
         let scanned = (Instant::now(), SystemTime::now());
         let since = heard.map_or(now, |heard| stamp.same_since(heard, scanned));

@@ -110,6 +110,7 @@ fn region_geometry(
 }
 
 fn closed(mut ring: Vec<[f64; 3]>) -> Vec<[f64; 3]> {
+    // RFC 7946 ends a ring with its first position.
     ring.push(ring[0]);
     ring
 }

@@ -69,6 +69,7 @@ fn draw_views(svg: &mut String, sheet: &Sheet, plan: &Plan, places: &[Point3<f64
     order.sort_by_key(|&v| std::cmp::Reverse(rank[v].unwrap_or(usize::MAX)));
     for v in order {
         let (x, y) = sheet.at([places[v].x, places[v].y]);
+        // XML cannot hold control characters, not even escaped.
         let name = printable(&plan.stages.scene.views[v].name);
         let name = quick_xml::escape::escape(&name);
         let (style, label) = match rank[v] {
