@@ -293,6 +293,7 @@ impl Plan {
             if out.is_none() && self.0.is_temporary() {
                 return Err(Failure::without_folder());
             }
+            // The export reads the files of the model again.
             self.0.project.refuse_changed_model()?;
             let backend = backends::by_name(backend)?;
             let options = ExportOptions {

@@ -179,6 +179,7 @@ impl Backend {
         for view in selection
             .views()
             .into_iter()
+            // Images for tests are named in lists, too.
             .chain(selection.kept_for_tests())
         {
             self.check_line(selection.scene.name(view))?;

@@ -181,6 +181,7 @@ impl Selection<'_> {
     pub fn images_in_commands(&self, from: &Path) -> String {
         let home = paths::real(&self.project.home);
         let seen_from = |images: &ImageFolder| match paths::real(images).strip_prefix(&home) {
+            // Relative, so that the project can be moved with the export in it.
             Ok(inside) => place::path_from(from, &home).join(inside),
             Err(_) => paths::absolute(images),
         };

@@ -78,6 +78,8 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     let views = listed_views(selection, options.refs);
     let tests = selection.kept_for_tests();
     let mut files = options.file_set(&BACKEND, selection);
+    // Made of the model's own files, which are moved as they are written; all that follows takes
+    // the scene that is moved already.
     add_models(&mut files, selection, near.origin, &views, &tests)?;
     let selection = &near.selection();
     let seeds = seeds(selection, &views);
@@ -258,6 +260,7 @@ fn seeds(selection: &Selection, views: &[ViewIndex]) -> Vec<u8> {
     let mut bytes = (ply + "end_header\n").into_bytes();
     for p in points {
         let x = scene.points[p.index()];
+        // gaussian-splatting takes a file without normals for no points at all.
         [x.x, x.y, x.z, 0.0, 0.0, 0.0]
             .iter()
             .for_each(|v| bytes.extend((*v as f32).to_le_bytes()));

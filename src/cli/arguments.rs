@@ -273,6 +273,7 @@ fn suggest(mut error: Error) -> Error {
             let tip = tip
                 .or_else(|| meant_by(&typed, &ADVICE).map(str::to_owned))
                 .or_else(|| meant_by_word(&typed));
+            // The list of options is advice only where clap has nothing better.
             let has_none = error.get(ContextKind::SuggestedArg).is_none();
             if let Some(tip) = tip.or_else(|| has_none.then(options_of_subcommand).flatten()) {
                 error.insert(

@@ -80,6 +80,7 @@ fn load_in(
 ) -> Result<Configuration, Failure> {
     let files = Files {
         user: user_file(),
+        // Only `viewrank watch` has folders whose settings count for the projects in them.
         root: None,
         project: folder.map(|folder| folder.join("viewrank.toml")),
     };

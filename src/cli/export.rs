@@ -321,10 +321,12 @@ impl Arguments {
             selection
                 .project
                 .output_folder()
+                // A folder of its own: the files of an export replace those that its folder had.
                 .join(format!("{}-tiles", backend.name))
         };
         let folder = options.out.clone().unwrap_or_else(own);
         let export = |(i, clusters): (usize, &Vec<RankedCluster>)| {
+            // `place` knows an export in tiles by the name of its first folder.
             let out = Some(folder.join(format!("tile_{:02}", i + 1)));
             backend.export(
                 &Selection {

@@ -104,6 +104,7 @@ fn print_unwatched(project: PathBuf, is_json: bool) -> Result<(), Failure> {
     let opened = Project::open(&project, None).ok();
     let workspace = opened.and_then(|opened| planned_workspace(&opened));
     let home = workspace.unwrap_or_else(|| project.clone());
+    // What was measured for an earlier plan is no progress of this one.
     let progress = Progress::read(&home).filter(|_| !follow::is_of_earlier_plan(&home));
     let there = MapsThere::look(&home, &plan.backend);
     let others = there.as_ref().and_then(|there| there.others.clone());
@@ -201,6 +202,7 @@ impl MapsThere {
         let counts = |map: &&DepthMapFile| {
             let key = scene.name(map.view);
             match (&by_run, &earlier) {
+                // The marks of tasks also tell size and options of a map.
                 (Some(by_run), _) => by_run.contains(&paths::real(&map.path)),
                 (None, Some(earlier)) => maps.counts(key, &map.path, earlier),
                 (None, None) => false,

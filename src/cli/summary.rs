@@ -224,6 +224,7 @@ impl<'a> Summary<'a> {
     }
 
     fn advice(&self, is_verbose: bool) -> Vec<String> {
+        // Finished maps are measured, so there is no band of a forecast.
         let band = if self.is_finished() {
             String::new()
         } else {
@@ -419,6 +420,7 @@ impl<'a> Summary<'a> {
         let mut lengths: Vec<usize> = STEPS.iter().filter_map(|&share| length(share)).collect();
         lengths.extend([self.cut.clusters, clusters.len()]);
         lengths.sort_unstable();
+        // The cut may be one of the steps, or the end of the list.
         lengths.dedup();
         let matched = self.use_of_views.is_none();
         let sizes = self.forecast.maps_at_half > 0;
@@ -469,6 +471,7 @@ impl<'a> Summary<'a> {
 
     /// Formats which one of several limits ends the plan.
     fn limit(&self) -> &'static str {
+        // A single limit needs no name.
         match self.cut.limit.filter(|_| self.limits > 1) {
             Some(CutLimit::Budget) => " (--budget)",
             Some(CutLimit::Target) => " (--target)",
@@ -500,6 +503,7 @@ impl<'a> Summary<'a> {
                 return vec![format!("Planning took {planning:.1} s.")];
             }
             _ => match self.forecast.break_even(planning) {
+                // Less is printed as 0.0 s.
                 Some(seconds) if is_verbose && planning >= 0.05 => {
                     format!(
                         "It pays if a depth map takes more than {} s.",

@@ -134,6 +134,7 @@ impl Progress {
         } = self;
         match share.filter(|_| self.target_reached) {
             Some(share) => Phase::Reached {
+                // The state of the project knows the backend, and fills it in.
                 backend: String::new(),
                 done,
                 clusters,

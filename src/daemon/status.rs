@@ -57,6 +57,7 @@ impl Holder {
             path: path.into(),
             holder: holder(path),
         };
+        // Of two roots inside each other, both daemons would plan the same projects.
         let held = |path: &Path| Self::is_held(path).then(|| error(path));
         let inside = discover::walk(root, &[root.to_path_buf()], false, &|| {});
         let inside = inside
@@ -352,6 +353,7 @@ fn seconds_now() -> u64 {
 /// Formats the number of projects by state and the progress of those with depth maps as Prometheus
 /// text.
 fn metrics_text(projects: &BTreeMap<PathBuf, TrackedProject>) -> String {
+    // With states of no project, too: to Prometheus, a missing series is not a zero.
     let mut counts: BTreeMap<&str, usize> = [
         "waiting", "queued", "planning", "planned", "partial", "reached", "failed",
     ]

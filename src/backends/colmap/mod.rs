@@ -308,6 +308,7 @@ impl<'a> Passes<'a> {
     fn describe(&self, selection: &Selection, record: &mut ExportRecord) {
         let last: HashSet<&str> = self.last.iter().map(|p| p.reference.as_str()).collect();
         let maps = if self.geometric {
+            // Of the first pass, only the maps that some batch needs are made.
             self.batches().iter().map(|(first, _)| first.len()).sum()
         } else {
             self.last.len()
@@ -328,6 +329,7 @@ impl<'a> Passes<'a> {
         if self.geometric {
             record.warnings.extend(at_full_size(selection));
         }
+        // Key views without points or partners get none.
         record.key_maps = selection
             .clusters
             .iter()
@@ -597,6 +599,8 @@ fn key_problems(names: &ListedNames, selection: &Selection, with_points: &[bool]
     selection
         .clusters
         .iter()
+        // COLMAP ends the whole run at a view without points, and an empty line of sources would
+        // shift all later pairs.
         .filter(|c| with_points[c.key.index()] && !c.partners.is_empty())
         .map(problem)
         .collect()
@@ -650,6 +654,7 @@ fn other_problems(
 /// any are omitted.
 fn with_sources_among(problems: &[Problem], among: &[Problem]) -> Vec<Problem> {
     let references: HashSet<&str> = among.iter().map(|p| p.reference.as_str()).collect();
+    // COLMAP aborts a geometric pass where a source has no photometric map.
     let reduced = |p: &Problem| Problem {
         reference: p.reference.clone(),
         sources: p

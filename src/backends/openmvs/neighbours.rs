@@ -57,6 +57,7 @@ pub fn export(
     let origin = given.origin();
     record.moved(origin);
     let lists = given.lists();
+    // Moved before it is scaled: the origin in the record is in units of the given scene.
     let scene = moved(given.mvs, origin);
     let scene = if options.scale {
         scaled(scene, scale)

@@ -63,6 +63,7 @@ impl Dialect {
         let (half, full): (Vec<usize>, Vec<usize>) =
             all.iter().partition(|&&i| self.is_half(selection, i));
         files.add_text("pair.txt", lists.pairs(&full));
+        // A list of its own, since filters end at the first view in their list that has no map.
         files.add_text("pair_fuse.txt", lists.pairs_to_fuse());
         self.add_views(&mut files, "", selection, &lists, &all)?;
         if !half.is_empty() {

@@ -195,6 +195,7 @@ pub fn commands(call: &Call) -> Result<Vec<Vec<OsString>>, String> {
         Product::Map(rank) => {
             let row = call.row_of(rank, &run.maps, Row::task)?;
             let partners = row.partners.others.len();
+            // eval.py counts the partners alone, where MVSNet counts the key view, too.
             let options = format!("--output_type depth --num_views {partners}");
             (vec![row.partners.clone()], row.longest, options)
         }

@@ -341,6 +341,7 @@ fn undistorted_project(
     backend: &Backend,
 ) -> Result<PathBuf, Failure> {
     let dense = project.place_of_undistorted();
+    // A run in that workspace may be matching the images that would be replaced.
     if let Ok(earlier) = Project::open(&dense, None) {
         Dispatch::refuse_if_at_work(&earlier)?;
     }

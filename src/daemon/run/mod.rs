@@ -110,6 +110,7 @@ pub fn watch_roots(
     disk: &Disk,
     signals: impl FnOnce(Box<dyn Fn(Signal) + Send>),
 ) -> Result<WatchSummary, DaemonError> {
+    // First of all, so that signals wait in the channel from the start.
     let (sender, events) = channel();
     let to_loop = sender.clone();
     // Fails once the loop has ended.
@@ -188,6 +189,7 @@ impl<'a> Daemon<'a> {
     where
         'a: 's,
     {
+        // Before the first scan, which may take longer than a supervisor waits.
         notify_supervisor(Life::Ready);
         loop {
             self.supervisor.alive();
@@ -232,6 +234,7 @@ impl<'a> Daemon<'a> {
                 outcome,
             } => self.finish(&project, job, input, outcome, now),
             Event::Signal(Signal::Stop) => {
+                // The loop goes on until the cancelled jobs have ended.
                 self.stopping = true;
                 self.projects.values().for_each(TrackedProject::cancel);
                 notify_supervisor(Life::Stopping);

@@ -277,6 +277,7 @@ impl Daemon<'_> {
     /// Compares a project with the last scan of it, and watches its folders. `heard` is the time of
     /// its last event, where known.
     fn scan_project(&mut self, project: &Path, heard: Option<Instant>, now: Instant) {
+        // A scan of many projects may take longer than the watchdog waits.
         self.supervisor.alive();
         let Some(tracked) = self.projects.get_mut(project) else {
             return;

@@ -89,6 +89,7 @@ pub fn fingerprint(
         hasher
             .update(&(view.name.len() as u64).to_le_bytes())
             .update(view.name.as_bytes());
+        // No file has this size: a missing image differs from an empty one.
         hasher.update(&size.unwrap_or(u64::MAX).to_le_bytes());
         for picture in pictures {
             hasher.update(&picture.map_or([0; blake3::OUT_LEN], |hash| *hash.as_bytes()));
