@@ -214,6 +214,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         dropped_region,
     } = Input::read(arguments)?;
     if !arguments.dry_run {
+        // A run that is at work computes the maps of the plan that this one would replace.
         Dispatch::refuse_if_at_work(&project)?;
         refuse_unwritable(arguments, &project)?;
     }

@@ -234,6 +234,7 @@ impl Listing {
         let scene = self
             .files
             .iter()
+            // As bytes, since names need not be text.
             .any(|name| name.as_encoded_bytes().ends_with(b".mvs"));
         let bare_model = || self.model_files() >= 2 && !is_sub_model(folder);
         let of_others = models_of_others(folder, follow_links);

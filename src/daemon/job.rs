@@ -207,6 +207,7 @@ impl PlanJob {
         let plan = planning::plan(&project, &settings, &JobWatcher::new(job)).map_err(sort_out)?;
         let plan = around_finished(plan, &project, job)?;
         if let Some(empty) = EmptyPlan::detect(&plan) {
+            // As of an incomplete model: only another input can give more.
             return Err(Outcome::Incomplete {
                 reason: empty.to_string(),
             });
@@ -384,6 +385,7 @@ impl PlanJob {
                 Ok(configuration) => configuration.settings.on_target,
                 Err(error) => {
                     warn!(%error, "cannot read the on_target command");
+                    // Not announced, so that the next measurement tries again.
                     return false;
                 }
             },

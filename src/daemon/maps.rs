@@ -191,6 +191,7 @@ impl MapTracker {
             .iter()
             .filter(|(path, (entry, _))| new(path, entry))
             .map(|(_, (_, since))| *since);
+        // The one that has waited longest decides, since others may come without a pause.
         let first = settles.chain(self.vanished).min()?;
         Some((first + settle).max(self.rest_until.unwrap_or(first)))
     }

@@ -242,6 +242,7 @@ fn selection<'a>(
 fn own_files(plan: &Plan, project: &Project, manifest: &Manifest) -> FileSet {
     let mut own = FileSet::new(&project.home, "plan");
     let mut add = |name: &str, text: String| own.add_text(format!("viewrank/{name}"), text);
+    // Leads later commands from the folder of `--out` back to the project.
     if project.is_elsewhere() {
         let root = paths::absolute(&project.root);
         add(

@@ -95,6 +95,7 @@ fn is_part(exported: &EarlierExport, plan: &Plan) -> bool {
     let name = |view| plan.stages.scene.name(view);
     let mut ranked = plan.ranked();
     exported.clusters.iter().all(|cluster| {
+        // `any` goes on after the last match, and so finds a subsequence.
         ranked.any(|c| {
             let partners = c.partners.iter().map(|&partner| name(partner));
             cluster.key.name == name(c.key)

@@ -308,6 +308,8 @@ impl Parallax {
         // A motion across the line of sight would put the epipole at infinity. As far away as this
         // the error is below 0.001 px per pixel of disparity.
         let height = e.z.abs().max(e.xy().norm() / FAR).copysign(e.z);
+        // Plus, where textbooks have a minus: on this plane n . X = 1, so that R X + t = (R + t nᵀ)
+        // X.
         let by_plane = rotation + translation * (plane.transpose() * key.intrinsics);
         let homography = partner.intrinsics * by_plane * key.intrinsics.try_inverse()?;
         Some(Self {
@@ -324,6 +326,7 @@ impl Parallax {
         let (x, y) = (u - self.epipole.x, v - self.epipole.y);
         let radius = (x * x + y * y).sqrt();
         let off = self.gain * (inverse - (self.plane.x * u + self.plane.y * v + self.plane.z));
+        // By |p - E| = (1 + off) |q - E| of rectify.py, for the distances from the epipole.
         radius * off / (1.0 + off)
     }
 

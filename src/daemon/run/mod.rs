@@ -157,6 +157,7 @@ pub fn watch_roots(
             None => info!(root = %root.display(), "watching for file events"),
         }
     }
+    // Scoped, so that no job outlives the locks of the roots.
     scope(|threads| daemon.run(threads, &events, disk))
 }
 

@@ -50,6 +50,7 @@ impl Scans {
         Self {
             projects,
             search,
+            // Before the first watches there are no events.
             everything: true,
             lost: false,
             gather_until: None,

@@ -54,6 +54,7 @@ fn check_clusters(manifest: &RecordedPlan, names: &BTreeSet<&str>) -> Result<(),
     let mut previous = Previous {
         fulfilment: 0.0,
         share: 0.0,
+        // Finished clusters come first, so the first one may be finished.
         finished: true,
     };
     for (i, cluster) in manifest.clusters.iter().enumerate() {
