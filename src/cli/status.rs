@@ -95,6 +95,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 fn print_unwatched(project: PathBuf, is_json: bool) -> Result<(), Failure> {
     // A folder or a file in a project means the project.
     let project = match project::containing(&project) {
+        // Unless it has a plan of its own, as a folder of `--out` has.
         Some(above) if planned_maps(&project).is_none() => paths::from_here(&above),
         _ => project,
     };

@@ -130,7 +130,6 @@ fn scene_file(scene: &Scene, views: &[ViewIndex], landmarks: &[Track]) -> String
     });
     // Written one by one: as JSON values in memory they take ten times the size of their text.
     let mut text = head.to_string();
-    // Takes the closing brace off, to append the structure.
     text.pop();
     text += ",\"structure\":[";
     for (i, landmark) in landmarks.iter().enumerate() {

@@ -117,7 +117,6 @@ pub static BACKEND: Backend = Backend {
 
 fn tasks(selection: &Selection, export: &Export) -> TaskRunner {
     let workspace = selection.project.dense_workspace.as_deref();
-    // With `--out` the lists are for a new workspace, whose model has the names of the scene.
     let workspace = workspace.filter(|workspace| *workspace == export.files.root);
     let names = ListedNames::new(selection, workspace);
     let passes = Passes::new(&names, selection, &ExportOptions::default());

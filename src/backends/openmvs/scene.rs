@@ -97,6 +97,7 @@ impl<'a> Builder<'a> {
     pub fn cluster(&self, cluster: &RankedCluster) -> (Mvs, DepthRange) {
         let mut mvs = self.images(&Vec::from_iter(cluster.views()));
         for image in &mut mvs.images {
+            // OpenMVS resolves names from its working folder, which is that of the task.
             image.name.splice(..0, *FROM_A_TASK);
         }
         let mut range = DepthRange {

@@ -308,8 +308,7 @@ impl Parallax {
         // A motion across the line of sight would put the epipole at infinity. As far away as this
         // the error is below 0.001 px per pixel of disparity.
         let height = e.z.abs().max(e.xy().norm() / FAR).copysign(e.z);
-        // Plus, where textbooks have a minus: on this plane n . X = 1, so that R X + t = (R + t nᵀ)
-        // X.
+        // Plus, unlike in textbooks: on this plane n . X = 1, so that R X + t is (R + t nᵀ) X.
         let by_plane = rotation + translation * (plane.transpose() * key.intrinsics);
         let homography = partner.intrinsics * by_plane * key.intrinsics.try_inverse()?;
         Some(Self {

@@ -261,6 +261,7 @@ pub fn planned_ground(project: &Project, settings: &Settings) -> Option<GroundSu
 pub fn planned_workspace(project: &Project) -> Option<PathBuf> {
     let dense = project.dense_workspace.clone();
     let dense = dense.or_else(|| project.undistorted_workspace());
+    // A workspace is its own: without the first condition, `open` would not end.
     let dense = dense.filter(|dense| *dense != project.root && dense.join(FILE).is_file());
     dense.filter(|_| !project.home.join(FILE).exists() || needs_undistorted_images(project))
 }
