@@ -139,7 +139,7 @@ fn is_json(typed: &[String]) -> bool {
     let typed: Vec<&str> = typed
         .iter()
         .map(String::as_str)
-        // Behind `--` all words are paths.
+        // After `--` all words are paths.
         .take_while(|word| *word != "--")
         .collect();
     typed.contains(&"--format=json") || typed.windows(2).any(|two| two == ["--format", "json"])
@@ -302,7 +302,7 @@ fn meant_by_word(typed: &str) -> Option<String> {
     let words = typed_words();
     let last = words.iter().position(|word| word.to_lowercase() == typed)?;
     let whole = |first: usize| words[first..=last].join(" ");
-    // From 2, behind the program and its subcommand.
+    // From 2, after the program and its subcommand.
     if let Some(path) = (2..last).map(whole).find(|path| Path::new(path).exists()) {
         return Some(format!("quote a path with blanks: {}", command_word(&path)));
     }

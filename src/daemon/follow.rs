@@ -430,7 +430,7 @@ impl TargetForecast {
         let wanted = ranking::as_part_of_rest(target.max(share), share, expected);
         let reached = curve
             .clusters_for(wanted * total)
-            // A target that only maps behind the list would reach is out of reach.
+            // A target that only maps beyond the list would reach is out of reach.
             .filter(|&n| n <= cut.max(done));
         let pairs = |n: usize| curve.pairs[n].saturating_sub(curve.pairs[done]);
         Self {

@@ -66,7 +66,7 @@ pub fn fingerprint(
             .map_err(failed)?;
     }
     for map in maps_outside(project, scene, settings) {
-        // Always as many bytes, also without a hash, so that nothing behind them moves up.
+        // Always as many bytes, also without a hash, so that nothing after them moves up.
         let hash = ends(&map).map_or([0; blake3::OUT_LEN], |hash| *hash.as_bytes());
         hasher.update(&hash);
     }
