@@ -142,6 +142,7 @@ fn observed(model: &ColmapModel, cloud: &[Point3<f64>], most: usize) -> Observed
     let (mut by_image, mut observations) = (Vec::new(), 0);
     let mut views = &projection.views[..];
     while !views.is_empty() {
+        // Each view may observe every point.
         let at_once = (AT_ONCE / points.len().max(1)).clamp(1, views.len());
         let (now, later) = views.split_at(at_once);
         views = later;
@@ -153,6 +154,8 @@ fn observed(model: &ColmapModel, cloud: &[Point3<f64>], most: usize) -> Observed
         let new = &by_image[by_image.len() - at_once..];
         observations += new.iter().map(Vec::len).sum::<usize>();
         while observations > most && points.len() > 1 {
+            // The points of half the share are among those of the whole, so no view is projected
+            // again.
             share /= 2.0;
             points.retain(|&point| is_kept(point, share));
             by_image.par_iter_mut().for_each(|points2d| {
@@ -207,6 +210,7 @@ impl Observed {
     /// the warning; `all`: points of the cloud.
     fn attach(mut self, model: &mut ColmapModel, why: &str, all: usize) {
         let places: HashMap<u32, usize> = self.points.iter().copied().zip(0..).collect();
+        // Counted first: tracks that grow by doubling could hold twice their memory.
         let mut lengths = vec![0; self.points.len()];
         for points2d in &mut self.by_image {
             for point2d in points2d {

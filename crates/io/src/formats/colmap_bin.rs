@@ -382,6 +382,7 @@ fn write_rig(bytes: &mut Vec<u8>, rig: &Rig) {
     bytes.extend((rig.sensors.len() as u32).to_le_bytes());
     for (n, (sensor, pose)) in rig.sensors.iter().enumerate() {
         write_sensor(bytes, sensor);
+        // The axes of the reference sensor are those of the rig: no pose is stored for it.
         if n > 0 {
             bytes.push(pose.is_some().into());
             pose.iter().for_each(|pose| write_pose(bytes, pose));

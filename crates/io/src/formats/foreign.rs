@@ -238,6 +238,7 @@ pub(super) fn largest_component<'a>(
 ) -> (String, Vec<(String, usize)>) {
     let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
     of_images.for_each(|component| *counts.entry(component).or_default() += 1);
+    // `max_by_key` takes the last of equals; reversed, that is the first by name.
     let largest = counts.iter().rev().max_by_key(|(_, images)| **images);
     let largest = largest.map_or("", |(component, _)| *component).to_owned();
     let others = counts
@@ -380,6 +381,7 @@ pub(super) fn json<'a, T: serde::Deserialize<'a>>(bytes: &'a [u8]) -> Result<T, 
         } else {
             Place::File
         };
+        // Serde passes on errors of `bounded` as text only.
         let text = error.to_string();
         let problem = if text.starts_with(MORE_THAN) {
             Problem::Unsupported {

@@ -37,6 +37,7 @@ pub fn read_orientation(bytes: &[u8]) -> Result<Oriented, Fault> {
         return Err(unknown(&root, projection));
     }
     let calibration = root.required_child("FileInterne")?.text();
+    // The path is that of another machine, and a stranger's may lead anywhere.
     let calibration = calibration.rsplit(['/', '\\']).next();
     Ok(Oriented {
         cam_from_world: pose_of(root.required_child("Externe")?)?,

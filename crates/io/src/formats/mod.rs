@@ -187,6 +187,7 @@ impl Problem {
             Self::NotFinite(_) | Self::ZeroQuaternion => {
                 "remove the record in the program that made the model, whose bundle adjustment has probably failed"
             }
+            // A file that was copied in part ends in zeros, which read as records without names.
             Self::Name { name, .. } if name.is_empty() => {
                 "copy or export the file again: it is incomplete or damaged"
             }

@@ -50,6 +50,7 @@ pub fn read(nvm: &[u8], size_of: SizeLookup) -> Result<ForeignModel, Fault> {
         }
         let mut next = match model(&mut words) {
             Ok(next) => next,
+            // A whole model was read, so damage to a later one is only worth a warning.
             Err(fault) => {
                 cut_off = Some(format!("model {n} of the NVM file cannot be read: {fault}"));
                 break;

@@ -264,6 +264,7 @@ fn add_points(foreign: &mut ForeignModel, points: &JsonMap<Point>, observations:
         .enumerate()
         .map(|(n, p)| (ids.as_ref().map_or(n as u64 + 1, |ids| ids[n]), n, p))
         .collect();
+    // The map has the ids as text, 10 before 2.
     order.sort_by_key(|&(id, ..)| id);
     for (id, n, point) in order {
         let colour = point.color.map(|c| c.round().clamp(0.0, 255.0) as u8);

@@ -164,6 +164,7 @@ fn numbers<const N: usize>(entries: &Entries, key: &'static str) -> Result<[f64;
     let entry = entries
         .get(key)
         .ok_or_else(|| fault(Place::File, "no such key".into()))?;
+    // One more than wanted shows a surplus; the text may have millions.
     let words = entry.words().take(N + 1);
     let values: Option<Vec<f64>> = words.map(|word| parse(word).ok()).collect();
     values

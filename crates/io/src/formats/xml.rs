@@ -61,6 +61,7 @@ impl Element {
 
     /// All numbers of the text.
     pub fn numbers<const N: usize>(&self) -> Result<[f64; N], Fault> {
+        // One more than wanted shows a surplus; the text may have millions.
         let words = self.text.split_ascii_whitespace().take(N + 1);
         let values: Option<Vec<f64>> = words.map(|word| parse(word.as_bytes()).ok()).collect();
         values

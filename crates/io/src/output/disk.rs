@@ -66,6 +66,7 @@ impl<'a> Disk<'a> {
 
     /// Opens a folder, after creating it and its missing ancestors.
     pub(super) fn make(&self, path: &Path) -> Result<Folder, OutputError> {
+        // A single folder is opened by its path, so it must exist before `base` is called.
         if let [home] = self.within {
             let (base, inner) = named_by_user(home)?;
             self.make_folders(&base, &inner)?;
@@ -138,6 +139,7 @@ impl<'a> Disk<'a> {
             found => return found.map(drop),
         }
         self.change(Operation::MakeFolder, (folder, name), || {
+            // Another process may have created it since the check above.
             folder.dir.create_dir(name).or_else(|e| {
                 if folder.folder(name).is_ok() {
                     Ok(())

@@ -70,6 +70,7 @@ impl Folder {
             .read(true)
             .follow(FollowSymlinks::No)
             .maybe_dir(true);
+        // Opening a pipe in its place would block.
         if cfg!(unix) {
             options.nonblock(true);
         }
@@ -114,6 +115,7 @@ impl Folder {
     /// [`OutputError::Foreign`] for a link.
     pub fn folder_without_links(&self, name: impl AsRef<Path>) -> Result<Self, OutputError> {
         let mut at = self.folder("")?;
+        // Part by part: only the last part of a path can be opened without following links.
         for part in name.as_ref() {
             let dir = at
                 .dir
@@ -212,6 +214,7 @@ impl Folder {
                 Some(found) => self.foreign(name, found),
                 None => self.failed(name.as_ref(), error),
             })?;
+        // Of the open file: the name may have been given to another since `before`.
         let found = file
             .metadata()
             .map_err(|error| self.failed(name.as_ref(), error))?;

@@ -52,6 +52,7 @@ fn check(root: &Root, bytes: &[u8]) -> Result<Journal, String> {
             "it was written in another folder, so its {files} files{first} are not touched"
         ));
     }
+    // Through a link, files from elsewhere would be moved into the project.
     if matches!(root.folder.find(STAGING), Ok(Some(found)) if !found.is_dir()) {
         return Err(format!("{STAGING} is not a folder"));
     }
@@ -132,6 +133,7 @@ fn set_aside(root: &Root, why: String) -> OutputError {
         };
     };
     let rename = |from: &str, to: &str| root.disk.rename(&root.folder, from, to);
+    // The staged files first: the next run removes those that have no journal.
     match rename(STAGING, &staging).and_then(|_| rename(JOURNAL, &journal)) {
         Ok(_) => OutputError::Journal {
             path: root.folder.path(journal),

@@ -199,6 +199,7 @@ pub fn refuse_to_replace(path: &Path) -> Result<(), OutputError> {
         .parent()
         .filter(|folder| !folder.as_os_str().is_empty())
         .unwrap_or(Path::new("."));
+    // A broken link is in the way, too: writing through it would create its target.
     match (path.symlink_metadata(), folder.metadata()) {
         (Ok(found), _) => Err(OutputError::InTheWay {
             path: path.into(),
@@ -259,6 +260,7 @@ pub fn remove(path: &Path, disk: &Disk) -> Result<(), OutputError> {
 pub fn rename(from: &Path, to: &Path, disk: &Disk) -> Result<(), OutputError> {
     let (folder, name) = place(from, disk)?;
     let (to_folder, to_name) = place(to, disk)?;
+    // A rename may reach the disk before the contents, which a power failure would then lose.
     disk.sync(&folder, &name)?;
     disk.rename_to((&folder, &name), (&to_folder, &to_name))
 }
@@ -312,6 +314,7 @@ fn check_name(name: &str) -> Result<(), OutputError> {
     let plain = Path::new(name)
         .components()
         .all(|part| matches!(part, Component::Normal(_)));
+    // `components` drops `.` and doubled slashes, so that one file would have two names in records.
     let canonical = name
         .split('/')
         .all(|part| !part.is_empty() && part != "." && !part.contains('\0'));

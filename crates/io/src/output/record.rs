@@ -49,6 +49,7 @@ impl Record {
         let bytes = input::read_all(file, FileKind::Record).ok()?;
         let record: Self = serde_json::from_slice(&bytes).ok()?;
         *left -= length;
+        // A planted record may list paths that lead out of the root.
         let mut paths = record.files.keys().chain(&record.folders);
         let is_sound = paths.all(|path| check_name(path).is_ok());
         is_sound.then_some(record)
@@ -76,6 +77,7 @@ impl<'a> Records<'a> {
     /// skipped: their files count as the user's and are kept.
     pub fn read(root: &'a Folder) -> Self {
         let mut names: Vec<OsString> = root.names(FOLDER).into_iter().flatten().collect();
+        // Which records still fit in the budget must not depend on the order of the directory.
         names.sort_unstable();
         let mut left = MOST_BYTES;
         let records = names.into_iter().filter_map(|name| {
@@ -155,6 +157,7 @@ impl<'a> Records<'a> {
         let mut hashes = sets
             .filter_map(|(_, record)| record.files.get(path))
             .peekable();
+        // Hashing reads the whole file, for nothing where no record lists it.
         if hashes.peek().is_none() {
             return Ok(None);
         }

@@ -62,6 +62,7 @@ impl Staging<'_> {
     fn into_change(self, sets: &[&FileSet]) -> Change {
         let mut change = self.change;
         let needed: BTreeSet<String> = sets.iter().flat_map(|set| needed_folders(set)).collect();
+        // A folder that one set drops may be needed by another of this change.
         change.old_folders.retain(|folder| !needed.contains(folder));
         change.old_folders.sort_unstable_by(|a, b| b.cmp(a));
         change.old_folders.dedup();
@@ -91,6 +92,8 @@ impl Staging<'_> {
         };
         self.check_replaceable(path, &found)?;
         let claim = self.records.claim(path)?;
+        // A user's file that happens to have these contents is not recorded: with a later set it
+        // would be removed as stale.
         if self.is_same(path, &found, contents)? {
             self.record
                 .files
@@ -143,6 +146,8 @@ impl Staging<'_> {
     /// Stages a link to the file that the next step replaces or removes, for undo; returns its
     /// hash.
     fn keep_old(&self, path: &str) -> Result<Option<String>, OutputError> {
+        // A link and not a rename: until the journal is carried out, the old file stays in its
+        // place.
         let old = staged(self.change.steps.len(), "old");
         self.link_or_copy(path, &old)?;
         hash(self.folder, &old)
@@ -177,6 +182,8 @@ impl Staging<'_> {
         at: &str,
     ) -> Result<(), OutputError> {
         let real = inside(file, within)?;
+        // Without developer mode Windows forbids symbolic links, but not hard links on the same
+        // drive.
         let is_made = cfg!(windows) && self.hard_link(&real, at).is_ok();
         if is_made {
             return Ok(());
@@ -300,6 +307,7 @@ impl Staging<'_> {
             .new_folders
             .iter()
             .filter(|folder| needed.contains(*folder));
+        // A folder that was there before is the user's and stays, even when it becomes empty.
         self.record.folders = earlier
             .folders
             .intersection(&needed)
@@ -358,6 +366,7 @@ impl Staging<'_> {
         if let (Contents::Link { file, .. }, true) = (contents, found.is_symlink()) {
             return Ok(self.folder.link(path)? == self.link_target(file, path));
         }
+        // A link to a file with the same contents is replaced, too: its target is somebody else's.
         if !found.is_file() {
             return Ok(false);
         }
@@ -367,6 +376,7 @@ impl Staging<'_> {
     fn has_contents(&self, path: &str, contents: &Contents) -> Result<bool, OutputError> {
         let there = self.folder.file(path)?;
         match contents {
+            // Where links cannot be made, an earlier run has made a copy.
             Contents::Link { file: from, .. } | Contents::Copy(from) => {
                 is_copy(&there, &open_source(from)?)
             }
@@ -435,6 +445,7 @@ impl<'a> Parts<'a> {
 
 impl Read for Parts<'_> {
     fn read(&mut self, to: &mut [u8]) -> io::Result<usize> {
+        // A read of nothing counts as the end, so an empty part would cut off the others.
         while self.0.front().is_some_and(|part| part.is_empty()) {
             self.0.pop_front();
         }

@@ -38,6 +38,7 @@ pub(super) fn write(
 }
 
 pub(super) fn recover(root: &Path, disk: &Disk) -> Result<(), OutputError> {
+    // Opening the root would create `viewrank` and its lock in a project that is only read.
     let is_there = |name: &str| root.join(name).symlink_metadata().is_ok();
     let has_journal = is_there(JOURNAL);
     if !has_journal && !is_there(STAGING) {
@@ -91,6 +92,8 @@ impl<'a> Root<'a> {
             identity: self.identity.clone(),
             change,
         };
+        // If only the last sync failed, the journal is in place, and the next process would carry
+        // it out: the change goes on.
         if let Err(failure) = self.write_journal(&journal)
             && matches!(self.folder.find(JOURNAL), Ok(None))
         {
@@ -98,6 +101,7 @@ impl<'a> Root<'a> {
             return Err(failure);
         }
         let done = self.finish(&journal.change).map_err(|failure| {
+            // Written before the first file goes back: half an undone change cannot be completed.
             journal.direction = Direction::Undo;
             match self
                 .write_journal(&journal)
@@ -110,6 +114,7 @@ impl<'a> Root<'a> {
                 },
             }
         });
+        // After a failed undo, the staged files may be the only copies.
         if !matches!(done, Err(OutputError::Interrupted { .. })) {
             self.clear_staging();
         }
@@ -126,6 +131,7 @@ impl<'a> Root<'a> {
         let text = serde_json::to_vec(journal).expect("strings and booleans are JSON");
         self.disk
             .write_new(&self.folder, &draft, text.as_slice(), false)?;
+        // The names of the staged files must be on the disk before the journal that relies on them.
         self.disk.sync_folder(&self.folder, STAGING)?;
         self.disk.rename(&self.folder, &draft, JOURNAL)?;
         self.disk.sync_folder(&self.folder, FOLDER)
@@ -158,6 +164,7 @@ impl<'a> Root<'a> {
                 self.disk
                     .rename(&self.folder, &staged(i, "old"), &step.path)?;
             } else if step.new.is_some() && self.folder.find(staged(i, "new"))?.is_none() {
+                // The new file has left the staging folder, so it is what has the path.
                 self.disk.remove(&self.folder, &step.path)?;
             }
         }
@@ -182,6 +189,7 @@ impl<'a> Root<'a> {
         {
             self.disk.sync_folder(&self.folder, folder)?;
         }
+        // Last: after a power failure, the journal completes renames that were not on the disk yet.
         self.disk.remove(&self.folder, JOURNAL)?;
         self.disk.sync_folder(&self.folder, FOLDER)
     }

@@ -61,6 +61,7 @@ impl Project {
         scene: &Scene,
         images: Option<&Path>,
     ) -> Result<Self, CreateError> {
+        // `project.ini` knows no working directory from which a relative path could count.
         let images = images.map(paths::absolute);
         let files = model_files(folder, scene, images.as_deref());
         if !are_there(&files) {

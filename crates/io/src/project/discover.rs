@@ -29,6 +29,7 @@ use crate::{
 };
 
 pub(super) fn open(path: &Path, wanted: Option<&str>) -> Result<Project, ProjectError> {
+    // The parent of a bare file name is empty, and no folder has that path.
     let parent = path
         .parent()
         .filter(|parent| !parent.as_os_str().is_empty())
@@ -139,6 +140,7 @@ fn models(root: &Path) -> Result<Vec<ModelLocation>, ProjectError> {
     let found = models_in(root, &own, &folders_of_other_programs(root))
         .or(|| Ok(models_in(root, &sub_folders(root), &[])))?
         .or(|| models_below(root))?;
+    // A workspace's model is made from another: it must not hide that that one is incomplete.
     if found.incomplete.is_some() {
         return found.into_models();
     }

@@ -51,6 +51,7 @@ pub(super) fn read(path: &Path) -> Result<Vec<u8>, ProjectError> {
     let is_binary = path
         .extension()
         .is_some_and(|extension| BINARY.iter().any(|binary| extension == *binary));
+    // A binary file may begin with the bytes of the mark by chance.
     Ok(if is_binary {
         bytes
     } else {
@@ -125,6 +126,7 @@ fn names_in_binary(mut file: BufReader<File>) -> io::Result<Vec<String>> {
     let count = number(&mut file)?;
     let mut names = Vec::new();
     for _ in 0..count.min(PROBED as u64) {
+        // `seek` would discard the buffer at each record.
         file.seek_relative(BEFORE_NAME)?;
         let mut name = Vec::new();
         (&mut file)
@@ -151,6 +153,7 @@ fn names_in_text(file: BufReader<File>) -> Vec<String> {
         .map_while(Result::ok)
         .map(|line| line.trim_start_matches('\u{feff}').to_owned())
         .filter(|line| !line.starts_with('#'));
+    // Each second line is a list of 2D points and may be empty, so empty lines count.
     let heads = lines.step_by(2).take(PROBED);
     // ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME; names may have blanks.
     heads

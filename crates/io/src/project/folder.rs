@@ -39,6 +39,7 @@ const MOST_FOLDERS: usize = 2000;
 /// Folders that hold images of these names which are no photographs of the model: results of
 /// viewrank and of MVS programs, reduced copies.
 const NOT_SEARCHED: [&str; 13] = [
+    // Synology's thumbnails.
     "@eaDir",
     "preview",
     "previews",
@@ -293,6 +294,7 @@ fn of_settings(root: &Path, model: &Path) -> Vec<PathBuf> {
     };
     let as_it_is = around(root, model).map(|above| above.join(&path));
     let ends = path.rmatch_indices('/').take(MOST_PARTS);
+    // A doubled slash would make the rest absolute, and `join` would drop the root.
     let ends = ends.map(|(at, _)| root.join(path[at + 1..].trim_start_matches('/')));
     let ends: Vec<PathBuf> = ends.collect();
     as_it_is.chain(ends.into_iter().rev()).collect()
@@ -359,6 +361,7 @@ pub(super) fn find(
     let found = searched
         .or_else(|| first.map(ImageFolder::new))
         .or_else(|| {
+            // The project and the folders of the model always exist: images need not belong there.
             let is_own = |folder: &Path| folder == root || model.starts_with(folder);
             let own = usual.iter().find(|folder| !is_own(folder));
             own.map(ImageFolder::new)
@@ -439,6 +442,7 @@ fn holding_most(folders: &[PathBuf], sought: &SoughtImages, search: &Names) -> O
     };
     let looks = Look::of_all(&rivals, sought, search);
     let mut by_look: Vec<(Look, &PathBuf)> = looks.into_iter().zip(rivals).collect();
+    // A stable sort: of folders that look alike, the first found stays first.
     by_look.sort_by_key(|(look, _)| Reverse(*look));
     let (best, folder) = by_look[0];
     let others = by_look[1..].iter();

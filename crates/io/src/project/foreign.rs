@@ -167,6 +167,7 @@ pub(super) fn of_other_program(
     let folders = [root].into_iter().chain(below.iter().map(PathBuf::as_path));
     let mut in_folders = folders.filter_map(|folder| {
         let names = file_names(folder).into_iter();
+        // By its ending it would be COLMAP's database.
         let names = names.filter(|name| !name.eq_ignore_ascii_case(THUMBNAILS));
         let found = names.filter_map(|name| kind(&folder.join(name)));
         found.min_by_key(|(rank, _): &(u32, _)| *rank)

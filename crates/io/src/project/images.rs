@@ -255,6 +255,7 @@ impl ImageFaults {
     /// Pixels of the largest image of a scene that can be read; 0 without one.
     pub fn most_pixels(&self, scene: &Scene) -> u64 {
         let pixels = |[width, height]: [u32; 2]| u64::from(width) * u64::from(height);
+        // Larger pictures are refused by their header, so they never take memory.
         let admitted = |view: ViewIndex, pixels: u64| {
             Some(pixels)
                 .filter(|&pixels| pixels <= scene.camera_of(view).most_picture_pixels().pixels())
@@ -312,6 +313,7 @@ impl ImageFaults {
     pub fn without_image(&self, views: usize) -> Vec<ViewIndex> {
         let mut without: Vec<ViewIndex> = self.missing_or_unreadable().collect();
         without.sort_unstable();
+        // Without any image, the plan goes by geometry and needs none.
         if self.is_any_readable(views) {
             without
         } else {

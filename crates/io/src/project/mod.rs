@@ -400,6 +400,7 @@ impl Project {
             }));
         if let Some(images) = &self.images {
             let mut others = images::unregistered(images, &scene);
+            // A project folder also holds files that are no photographs of the survey.
             if **images == *self.root {
                 others.retain(images::is_beside_views(&scene));
             }
@@ -419,6 +420,7 @@ impl Project {
         let (mut foreign, cloud) = foreign::read(&self.root, &self.model)?;
         self.name_images(&mut foreign.model)?;
         if let Some(images) = &self.images {
+            // Masks are found by the names that `name_images` has given.
             images.add_masks(self.masks_of(&foreign));
         }
         foreign.model = complete::completed(foreign.model, &self.model, cloud)?;
@@ -585,6 +587,8 @@ impl Project {
         let is_copy = |model: &&ModelLocation| {
             let poses = discover::poses(&self.root, model).unwrap_or_default();
             let names: Vec<&String> = poses.keys().collect();
+            // Only images that differ by the same folders count together: names such as
+            // DJI_0001.JPG are in every flight.
             let mut shared: BTreeMap<(bool, &str), usize> = BTreeMap::new();
             for name in &names {
                 let ends = ends_of(name).filter(|end| scene.find(end).is_some());

@@ -128,6 +128,7 @@ impl Names {
         let mut listing = Listing::default();
         let entries = std::fs::read_dir(folder).into_iter().flatten();
         for entry in entries.filter_map(Result::ok).take(self.left.get()) {
+            // One budget for all folders: a model may name any number of them.
             self.left.set(self.left.get() - 1);
             if let Ok(name) = entry.file_name().into_string() {
                 listing.add(name, &entry.path());
@@ -208,6 +209,7 @@ fn from_folder(name: &str, images: &Path) -> Option<String> {
 
 /// Two images whose names lead to one file.
 pub(super) fn with_one_file(model: &ColmapModel, images: Option<&Path>) -> Option<[String; 2]> {
+    // Resolving a path takes system calls, so only images with the same plain name are compared.
     let file = |name: &str| match images {
         Some(images) => paths::place_of_file(&images.join(name)),
         None => PathBuf::from(name_parts(name).unwrap_or_default().join("/")),
@@ -291,6 +293,7 @@ impl Listing {
     /// Notes the reduced copies, when all folders are known.
     fn find_reduced(&mut self) {
         for (folded, names) in &mut self.folders {
+            // Directories are listed in any order, on which the choice must not depend.
             names.sort_unstable();
             let Some((own, factor)) = folded.rsplit_once('_') else {
                 continue;
@@ -315,6 +318,7 @@ pub(super) fn last(name: &str) -> &str {
 /// A name without its extension.
 pub(super) fn stem(name: &str) -> &str {
     match name.rsplit_once('.') {
+        // In `day.1/a` the dot is the folder's.
         Some((stem, extension)) if !extension.contains('/') => stem,
         _ => name,
     }

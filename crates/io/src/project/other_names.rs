@@ -106,6 +106,7 @@ fn files_below(folder: &Path) -> HashMap<String, Fitting> {
     let mut files: HashMap<String, Fitting> = HashMap::new();
     let entries = WalkDir::new(folder)
         .follow_links(true)
+        // Sorted, since the first two of several files are named in messages.
         .sort_by_file_name()
         .into_iter()
         .filter_entry(|entry| entry.depth() == 0 || !is_skipped(entry))

@@ -30,6 +30,7 @@ pub fn probe(path: &Path) -> Result<Option<[u32; 2]>, Unread> {
     if is_raw(path) {
         return Ok(None);
     }
+    // The tail is then searched with a single read.
     let mut file = BufReader::with_capacity(TAIL as usize, file);
     let can_be_checked = ImageFormat::from_path(path).is_ok_and(|format| format.reading_enabled());
     match dimensions(&mut file, length) {

@@ -68,6 +68,7 @@ type Systems = HashMap<String, System>;
 impl System {
     fn read(definition: &str) -> Self {
         let plain = definition.trim().to_ascii_uppercase();
+        // The code of a vertical system may follow (EPSG:4326+5773).
         let code = plain
             .strip_prefix("EPSG:")
             .map(|code| code.split('+').next().unwrap_or_default());
@@ -234,6 +235,7 @@ impl Block {
             self.foreign.unregistered.push(name);
             return Ok(());
         };
+        // Not before a photo has a pose: the faults of a camera that none needs do not matter.
         let axes = group.axes(&mut self.foreign.model.cameras)?;
         let pose = pose_of(rotation, centre, axes);
         let pose = pose.map_err(|fault| fault.in_record(|| format!("photo {path:?}")))?;

@@ -83,6 +83,7 @@ impl ColmapModel<'_> {
                 .cam_from_world
                 .pose()
                 .map_err(|problem| Fault::new("images", image.at, problem))?;
+            // R (x + origin) + t = R x + (t + R origin)
             image.cam_from_world.translation = (pose.translation + pose.rotation * origin).into();
         }
         for point in &mut self.points {

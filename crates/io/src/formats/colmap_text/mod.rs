@@ -168,6 +168,7 @@ fn in_batches<L: Send, T: Send>(
 pub fn cameras(bytes: &[u8]) -> Result<Vec<Camera>, Fault> {
     let lines = || lines("cameras", bytes).filter(Line::is_record);
     let cameras = in_batches(lines().take(MOST_IMAGES), camera)?;
+    // Only now: the line of a damaged record says more than the length of the file.
     check_images(lines().count()).map_err(|fault| fault.in_file("cameras"))?;
     Ok(cameras)
 }

@@ -224,6 +224,7 @@ impl Chunk {
                     self.cameras.push(camera);
                     check_images(self.cameras.len())?;
                 }
+                // The depth is bounded by the XML reader.
                 "group" => self.read_cameras(entered.attribute("label").map(Rc::from), xml)?,
                 _ => xml.skip()?,
             }

@@ -203,6 +203,7 @@ impl<'a> ChunkModel<'a> {
         let (mut foreign, components) = (self.foreign, self.components);
         Lens::warn(&self.lenses, &mut foreign);
         let (largest, others) = largest_component(components.iter().copied());
+        // World coordinates that are earth-centred are recognised by themselves.
         if self.frame == Frame::Chunk {
             let to_world = self.chunk.to_world(&largest);
             foreign.georeference = to_world.and_then(Similarity::place);
