@@ -122,6 +122,7 @@ impl CacheFile {
         let start = open.file.stream_position().ok()?;
         let bytes = input::read_range(open.file.get_ref(), start..length).ok()?;
         open.hasher.update_rayon(&bytes);
+        // `checked` asks whether the reader is at the end.
         open.file.seek(SeekFrom::Start(length)).ok()?;
         open.checked().map(|facts| (facts, bytes))
     }
@@ -136,6 +137,7 @@ impl CacheFile {
         for part in &contents {
             for block in part.as_bytes().chunks(BLOCK) {
                 hasher.update(block);
+                // Rows on disk would otherwise all stay in memory.
                 part.release();
             }
         }

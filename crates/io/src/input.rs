@@ -189,6 +189,7 @@ fn read_first(file: File, kind: FileKind, most: u64) -> io::Result<Vec<u8>> {
     let length = file.metadata()?.len();
     check_length(length, kind)?;
     let mut bytes = Vec::new();
+    // A failed allocation is then an error of this file and not the end of the process.
     bytes.try_reserve_exact(length.min(most) as usize)?;
     // It may grow meanwhile.
     file.take(length.min(most)).read_to_end(&mut bytes)?;

@@ -226,6 +226,7 @@ impl<'a> Header<'a> {
 }
 
 fn entry(text: &str) -> IResult<&str, Entry<'_>> {
+    // With `cut`, a fault of a value is placed at the value and not at its name.
     let flag = alt((value(true, tag("True")), value(false, tag("False"))));
     let lengths = terminated(separated_list0(symbol(','), integer), opt(symbol(',')));
     let shape = delimited(symbol('('), lengths, symbol(')'));

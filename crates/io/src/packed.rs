@@ -67,6 +67,7 @@ impl<'a> Unpacker<'a> {
     pub fn list<T: Pod + Send>(&mut self) -> Option<Vec<T>> {
         const PART: usize = if cfg!(test) { 5 } else { 1 << 20 };
         let bytes = self.bytes_of(size_of::<T>())?;
+        // A copy, since a list may begin at a byte that is not aligned for its numbers.
         let mut list = large_pages::zeroed(bytes.len() / size_of::<T>());
         let parts = bytemuck::cast_slice_mut(&mut list)
             .par_chunks_mut(PART)
@@ -117,6 +118,7 @@ pub fn count_gaps(bytes: &[u8]) -> usize {
 /// Reads all numbers of [`push_gaps`]; `None` if one is not below `end`, the bytes are cut off, or
 /// `numbers` does not have the length that [`count_gaps`] returns.
 pub fn read_gaps(bytes: &[u8], end: u32, numbers: &mut [u32]) -> Option<()> {
+    // In u64: a forged gap may lead beyond u32.
     let (mut numbers, mut next) = (numbers.iter_mut(), 0u64);
     let (mut gap, mut shift) = (0u64, 0);
     for &byte in bytes {

@@ -129,6 +129,7 @@ impl PictureFolders {
             return Err(Unread::Missing.into());
         }
         let (file, camera) = (folder.file(scene.name(view)), scene.camera_of(view));
+        // Most raw files can be decoded, but only to the small picture that they begin with.
         if is_raw(&file) {
             return Err(
                 Unread::Broken("a raw picture of a camera, which viewrank does not read").into(),

@@ -133,6 +133,7 @@ pub fn read_at_most(bytes: &[u8], most: usize) -> Result<Option<Mesh>, PlyError>
             _ => body.skip_element(element)?,
         }
     }
+    // Only now: the faces of a file may come before its vertices.
     let count = mesh.vertices.len() as u64;
     match mesh
         .triangles
@@ -321,6 +322,7 @@ impl Body<'_> {
     /// memory nor loops.
     fn check_room(&self, element: &Element) -> Result<(), PlyError> {
         let smallest = |p: &Property| match self.encoding {
+            // A digit and its separator.
             Encoding::Ascii => 2,
             _ => p.count.unwrap_or(p.value).size(),
         };

@@ -41,6 +41,8 @@ fn number(bytes: &[u8], start: usize) -> Parsed<(u32, usize)> {
     let bad = || at(start);
     let rest = bytes.get(start..).unwrap_or_default();
     let length = rest.iter().take(11).position(|&b| b == b'&');
+    // With its fault at the end, a file that is still being written counts as unfinished, not as
+    // damaged.
     let is_cut = rest.len() < 11 && rest.iter().all(u8::is_ascii_digit);
     let length = length.ok_or_else(|| at(if is_cut { bytes.len() } else { start }))?;
     let digits = std::str::from_utf8(&rest[..length]).map_err(|_| bad())?;

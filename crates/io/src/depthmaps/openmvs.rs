@@ -65,6 +65,7 @@ impl Kind {
 /// those that `DR` ever had. More bits of the type of `D2` are flags, such as that of confidences
 /// that were adjusted.
 pub(super) fn newer(bytes: &[u8]) -> Option<String> {
+    // Zeros are damage, not the letters of another kind.
     let letters = bytes.get(..2).filter(|letters| *letters != [0, 0])?;
     let planes = bytes.get(2).copied().unwrap_or(HAS_DEPTH);
     match Kind::of(bytes) {

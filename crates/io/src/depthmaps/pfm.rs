@@ -81,6 +81,7 @@ fn number<T: std::str::FromStr>(bytes: &[u8], start: usize) -> Parsed<(T, usize)
 fn word(bytes: &[u8], start: usize) -> Parsed<(&str, usize)> {
     let rest = &bytes[start.min(bytes.len())..];
     let end = rest.iter().take(40).position(u8::is_ascii_whitespace);
+    // A fault at the end of the file lets one that is still being written count as unfinished.
     let early = if rest.len() < 40 { bytes.len() } else { start };
     let end = end.ok_or_else(|| (early, "expected the header of a PFM file".to_string()))?;
     let text = std::str::from_utf8(&rest[..end])

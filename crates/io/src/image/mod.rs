@@ -223,6 +223,7 @@ fn jpeg_grey(picture: Checked, bound: PixelBound) -> Result<(Vec<u8>, [u32; 2]),
         return Ok(stored);
     }
     let Image { rgb, full, .. } = jpeg(picture, bound, &|full| full)?;
+    // JFIF's weights of red, green and blue, in 256ths.
     let luma = |p: &[u8]| {
         ((77 * u32::from(p[0]) + 150 * u32::from(p[1]) + 29 * u32::from(p[2]) + 128) >> 8) as u8
     };

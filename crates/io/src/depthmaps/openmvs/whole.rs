@@ -120,6 +120,7 @@ impl WholeMap {
     pub fn enlarged(&self, size: [u32; 2]) -> Result<Vec<u8>, DepthMapError> {
         let bytes = input::read_start(&self.path, FileKind::Picture, self.bytes())
             .map_err(DepthMapError::io(&self.path))?;
+        // The program may have replaced the file since its header was read.
         if (bytes.len() as u64) < self.bytes() {
             let what = "the file has become shorter".to_owned();
             return Err(DepthMapError::format(&self.path)((bytes.len(), what)));
