@@ -80,6 +80,7 @@ impl CacheFile {
 
     /// Returns the hasher of the file, which has seen all but its contents; `None` without a key.
     fn hasher(&self, inputs: &str, facts: &impl Serialize) -> Option<blake3::Hasher> {
+        // With its path, so that no file passes for another one.
         let json = serde_json::to_vec(&(self.path, inputs, facts));
         let mut hasher = blake3::Hasher::new_keyed(&self.key?.0);
         hasher.update(&json.expect("numbers and texts are JSON"));
@@ -187,6 +188,7 @@ impl<F> OpenCache<F> {
 
     /// Returns the facts if all contents were read, and both are those written.
     pub fn checked(mut self) -> Option<F> {
+        // Bytes behind the contents were never signed.
         let is_at_end = self.file.fill_buf().is_ok_and(<[u8]>::is_empty);
         (is_at_end && self.hasher.finalize().to_string() == self.hash).then_some(self.facts)
     }

@@ -208,6 +208,7 @@ pub fn list_preferring(
         };
         let path = entry.path();
         let inside = path.strip_prefix(folder).unwrap_or(path);
+        // Asked only of names of maps: a system call for each file of a workspace would take long.
         let is_map = |_: &_| path.is_file() && !is_copy(path);
         let Some((format, rank)) = format_of(inside).filter(is_map) else {
             continue;

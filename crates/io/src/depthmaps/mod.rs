@@ -144,6 +144,7 @@ impl DepthMap {
         let (x, y) = (position.x / sx - 0.5, position.y / sy - 0.5);
         let (left, top) = (x.floor(), y.floor());
         let (right, down) = (x - left, y - top);
+        // On a plane, inverse depth is linear across the image, which depth is not.
         let inverse = |dx: f64, dy: f64| {
             let (column, row) = (left + dx, top + dy);
             let inside = column >= 0.0
@@ -468,6 +469,7 @@ pub fn in_parallel<A: Sync, R: Send, E: Send>(
             left = rest.unwrap_or_default();
             rest.is_some()
         };
+        // A map that takes more by itself is still read, alone.
         let number = items.iter().take_while(fits).count().max(1);
         let (part, rest) = items.split_at(number);
         let done: Result<Vec<R>, E> = part.par_iter().map(&work).collect();

@@ -184,6 +184,7 @@ fn chosen(projection: &Projection, cloud: &[Point3<f64>]) -> (Vec<u32>, f64) {
     if candidates <= PROJECTIONS {
         return (points, share);
     }
+    // Of a share of the points, about that share of the candidates remains.
     let share = share * PROJECTIONS as f64 / candidates as f64;
     (of_share(share), share)
 }
@@ -293,6 +294,7 @@ fn place_2d_points(model: &mut ColmapModel) {
     }
     let mut placed: Vec<Vec<Point2d>> = vec![Vec::new(); model.images.len()];
     let projection = Projection::new(model);
+    // The point that each image was given last, in place of a set of images for each point.
     let mut last = vec![usize::MAX; model.images.len()];
     let mut track = |number: usize, point: &ColmapPoint| {
         let x = Point3::from(point.xyz);

@@ -193,6 +193,7 @@ fn camera(reader: &mut Reader) -> Result<Camera, Fault> {
         "the camera parameters",
         nom::multi::count(le_f64, model.parameter_count()),
     )?;
+    // A model whose distortion is zero needs no undistortion before it is matched.
     Camera::new(id, model, width, height, params)
         .map(Camera::without_zero_distortion)
         .map_err(|error| fault(error.into()))

@@ -47,6 +47,7 @@ pub struct ForeignModel {
 
 impl ForeignModel {
     pub fn scene(&self) -> Result<Scene, Fault> {
+        // The names of views are checked with the model, these are not.
         for name in self.unregistered.iter().chain(&self.left_out) {
             check_length(name).map_err(|problem| problem.at(Place::File))?;
         }
@@ -163,6 +164,7 @@ impl ForeignModel {
     /// folder. Paths of Windows count, too (`C:\photos\a.jpg`).
     pub fn shorten_names(&mut self) {
         let of_windows = self.names_mut().filter_map(normalise);
+        // Names are rewritten as the iterator passes them, so all must be visited.
         let drive = of_windows.last().unwrap_or(false);
         let is_absolute = |name: &str| name.starts_with('/');
         let leads_out = |name: &str| is_absolute(name) || name.starts_with("../");
@@ -226,6 +228,7 @@ fn common_folder<'a>(mut names: impl Iterator<Item = &'a str>) -> String {
     for name in names {
         let pairs = common.bytes().zip(name.bytes());
         let shared = pairs.take_while(|(a, b)| a == b).count();
+        // Cut behind a slash, which is a whole character in UTF-8.
         let slash = common.as_bytes()[..shared].iter().rposition(|&b| b == b'/');
         common.truncate(slash.map_or(0, |end| end + 1));
     }
@@ -295,6 +298,7 @@ pub(super) fn pose(
     {
         return Err(Problem::NotFinite("the pose"));
     }
+    // The rows of a mirrored frame are orthonormal, too: only its determinant tells.
     let off = (rotation * rotation.transpose() - Matrix3::identity()).norm();
     if off > ROTATION_TOLERANCE || rotation.determinant() < 0.0 {
         return Err(Problem::Contradiction(

@@ -170,6 +170,7 @@ impl<'a> Xml<'a> {
                     *room = room
                         .checked_sub(1 + child.attributes.len())
                         .ok_or_else(|| Problem::Json(full()).at(child.at))?;
+                    // The recursion ends: `open` refuses elements that are nested too deeply.
                     let child = self.fill(child, room)?;
                     element.children.push(child);
                 }

@@ -233,6 +233,7 @@ fn jpeg_grey(picture: Checked, bound: PixelBound) -> Result<(Vec<u8>, [u32; 2]),
 /// Decodes luma alone, which saves the colour conversion; `None` if the file doesn't store it, is
 /// too large, or cannot be decoded.
 fn stored_luma(bytes: &[u8], bound: PixelBound) -> Option<(Vec<u8>, [u32; 2])> {
+    // By default the decoder refuses sides above 16,384 pixels; here `bound` decides.
     let options = DecoderOptions::default()
         .jpeg_set_out_colorspace(ColorSpace::Luma)
         .set_max_width(65_535)

@@ -222,6 +222,7 @@ impl<'a> Disk<'a> {
         from: &str,
         to: &str,
     ) -> Result<bool, OutputError> {
+        // After a crash, the step may be done already.
         if folder.find(from)?.is_none() {
             return Ok(false);
         }
@@ -321,6 +322,7 @@ fn named_by_user(path: &Path) -> Result<(Folder, PathBuf), OutputError> {
 
 fn create_new(folder: &Folder, name: &str, executable: bool) -> io::Result<File> {
     let mut options = OpenOptions::new();
+    // Never into an existing file: it may be a link, or another name of the user's own.
     options.write(true).create_new(true);
     if executable {
         platform::make_executable(&mut options);

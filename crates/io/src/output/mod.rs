@@ -125,6 +125,7 @@ pub fn write_all(sets: &[FileSet], disk: &Disk) -> Result<Vec<WriteReport>, Outp
         .flat_map(|set| set.files.keys())
         .try_for_each(|path| check_name(path))?;
     let mut written = vec![WriteReport::default(); sets.len()];
+    // The first set has the daemon's record of the plan, which must not be there before the files.
     for root in roots(sets).into_iter().rev() {
         write_root(root, sets, disk, &mut written)?;
     }
@@ -162,6 +163,7 @@ fn write_root(
             for place in spare {
                 written[place].failed = Some(error.to_string());
             }
+            // From the start: the change that failed was undone.
             let done = write(&needed)?;
             (needed, done)
         }
@@ -218,6 +220,7 @@ pub fn refuse_unwritable(folder: &Path) -> Result<(), OutputError> {
         .ancestors()
         .find(|above| above.exists())
         .unwrap_or(&absolute);
+    // A real file: permissions say nothing of a file system that is mounted read-only.
     tempfile::tempfile_in(there)
         .map(drop)
         .map_err(|source| OutputError::new(there, source))

@@ -170,6 +170,7 @@ impl<'a> Records<'a> {
 /// to read, what the file system says about it.
 pub(super) fn hash(root: &Folder, path: &str) -> Result<Option<String>, OutputError> {
     match root.find(path)? {
+        // With a prefix: a file with the path as its text is not the link.
         Some(found) if found.is_symlink() => Ok(Some(format!(
             "link:{}",
             blake3::hash(root.link(path)?.as_os_str().as_encoded_bytes())

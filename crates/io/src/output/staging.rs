@@ -130,6 +130,7 @@ impl Staging<'_> {
         let new = staged(self.change.steps.len(), "new");
         self.make(&new, path, contents)?;
         let old = if has_old { self.keep_old(path)? } else { None };
+        // Of the staged file: its source may change while it is copied.
         let new = hash(self.folder, &new)?;
         self.record
             .files
@@ -323,6 +324,7 @@ impl Staging<'_> {
     /// Stages the record in the same change as the files that it lists.
     fn record_itself(&mut self, set: &str, earlier: &Record) -> Result<(), OutputError> {
         self.record.identity.clone_from(&self.root.identity);
+        // Not written again, so that a second run changes nothing.
         if self.record == *earlier {
             return Ok(());
         }

@@ -83,6 +83,7 @@ impl<'a> Root<'a> {
                 Direction::Undo => self.undo(&journal.change)?,
             }
         }
+        // Without a journal, these are of a process that ended before its change began.
         self.disk.remove_folder(&self.folder, STAGING)
     }
 
@@ -156,9 +157,11 @@ impl<'a> Root<'a> {
     }
 
     fn undo(&self, change: &Change) -> Result<(), OutputError> {
+        // In reverse, outer folders come before inner ones.
         for folder in change.old_folders.iter().rev() {
             self.disk.make_folder(&self.folder, folder)?;
         }
+        // Several steps may have changed one file: the last of them is undone first.
         for (i, step) in change.steps.iter().enumerate().rev() {
             if step.old.is_some() {
                 self.disk

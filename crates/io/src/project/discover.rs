@@ -203,6 +203,7 @@ fn models_below(root: &Path) -> Result<Found, ProjectError> {
         let mut folders = with_sub_folders(&child);
         folders.truncate(left);
         left -= folders.len();
+        // Workspaces are made from another model, here as in the project itself.
         let (dense, own): (Vec<_>, Vec<_>) = folders
             .into_iter()
             .partition(|folder| folder.ends_with(DENSE));
@@ -299,6 +300,7 @@ fn colmap_model(folder: &Path) -> Result<Option<ModelLocation>, ProjectError> {
             return Err(link);
         }
     }
+    // One of the files may only be compressed.
     if incomplete.is_some()
         && let Some(error) = foreign::packed(folder, foreign::is_of_colmap)
     {
@@ -368,6 +370,7 @@ fn choose(
     // Folders may be looked at for more than one program.
     let mut seen = BTreeSet::new();
     models.retain(|model| seen.insert(model.path.clone()));
+    // Before the sort, whose ties go by name.
     name_apart(&mut models, root);
     models.sort_by_cached_key(order);
     check_any(path, root, &models)?;
@@ -381,6 +384,7 @@ fn choose(
             })?
         }
     };
+    // A model that the user named is taken whatever the others are.
     if wanted.is_none() {
         refuse_pointers(&models)?;
     }

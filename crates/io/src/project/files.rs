@@ -34,6 +34,7 @@ pub(super) fn are_cameras(path: &Path) -> bool {
     let start = String::from_utf8_lossy(&start);
     let mut lines = start.trim_start_matches('\u{feff}').lines().map(str::trim);
     let first = lines.find(|line| !line.is_empty() && !line.starts_with('#'));
+    // Lists of other programs begin with the name of a photograph.
     let is_of_name = |byte: u8| byte.is_ascii_uppercase() || byte.is_ascii_digit() || byte == b'_';
     first.is_none_or(|first| {
         let mut words = first.split_whitespace();
@@ -189,6 +190,7 @@ impl ColmapFiles {
         };
         let [cameras, images, points3d] = REQUIRED.map(path);
         let points = || {
+            // Without either, the error is to name the file that is missing.
             if points3d.is_file() || cloud_beside(model).is_none() {
                 read(&points3d)
             } else if model.format == ModelFormat::ColmapText {
@@ -235,6 +237,7 @@ impl ColmapFiles {
 pub(super) fn all(model: &ModelLocation) -> Vec<PathBuf> {
     let files = ["cameras", "images", "points3D", "rigs", "frames"]
         .map(|stem| colmap_file(&model.path, stem, model.format));
+    // A plan depends on this cloud as on the model's own files.
     let cloud = match own_contents(model) {
         ModelContents::Poses => cloud_beside(model),
         _ => None,

@@ -194,6 +194,7 @@ impl ImageFolder {
         let spelled = take_names_of_files(model, Some(&self.path));
         self.others.get_or_init(|| {
             let names = model.images.iter().map(|image| &*image.name);
+            // An image that was given another name has its file under the name before.
             let is_missing =
                 |name: &&str| spelled.contains_key(*name) || !self.path.join(name).exists();
             let (missing, there): (Vec<&str>, Vec<&str>) = names.partition(is_missing);
@@ -350,6 +351,7 @@ pub(super) fn find(
     // One that holds reduced or other pictures may not be the one that is meant.
     let has_size_of_camera = |folder: &&PathBuf| {
         let mut files = names.iter().map(|name| folder.join(name));
+        // The first that can be read: a pointer of Git LFS says nothing of its folder.
         let header = files.find_map(|file| kind_by_header(&file));
         sought.sizes.is_empty() || header.is_some_and(|(size, _)| sought.sizes.contains(&size))
     };
@@ -498,6 +500,7 @@ fn is_named_as_result(folder: &Path) -> bool {
 
 /// The folders below the project that may hold its images, itself first.
 fn folders_below(root: &Path) -> Vec<PathBuf> {
+    // A link may lead out of the project, or back to a folder above it.
     let entries = WalkDir::new(root)
         .max_depth(DEPTH)
         .follow_links(false)

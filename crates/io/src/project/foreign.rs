@@ -288,6 +288,7 @@ pub(super) fn listed(root: &Path) -> Vec<ModelLocation> {
     for (pattern, format) in MODEL_PATHS {
         let found = matching(pattern, root, &files).into_iter();
         for path in found.filter(|path| path.is_file()).take(MOST_MODELS) {
+            // Several patterns match one file, as `*bundle.out` and `*.out`.
             if models.iter().all(|model| model.path != path) {
                 models.push(ModelLocation::new(format, path));
             }

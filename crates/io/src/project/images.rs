@@ -456,6 +456,7 @@ pub(super) fn unregistered(folder: &ImageFolder, scene: &Scene) -> Vec<String> {
         .map(|view| &*view.name)
         .chain(scene.left_out.iter().map(String::as_str))
         .chain(folder.other_names().map(|(_, file)| file))
+        // Either of them may be the file of a missing image.
         .chain(folder.candidates());
     let registered: HashSet<PathBuf> = names.map(|name| in_folder(name, folder)).collect();
     // A folder of masks may hold photographs, too.

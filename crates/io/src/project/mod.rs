@@ -513,6 +513,7 @@ impl Project {
         let above = [Some(&*self.root), images.and_then(Path::parent), images]
             .into_iter()
             .flatten();
+        // By links, two of them may be one folder.
         let mut places = HashSet::new();
         above
             .map(|folder| folder.join(MASKS))
@@ -528,6 +529,7 @@ impl Project {
     /// Returns whether the folder of a binary COLMAP model also has a text model with other images
     /// or poses, or one that cannot be read.
     pub fn has_other_text_model(&self, scene: &Scene) -> bool {
+        // COLMAP reads the binary model of such a folder, OpenMVS's importer the text.
         let text = Self {
             model: ModelLocation {
                 format: ModelFormat::ColmapText,

@@ -72,6 +72,7 @@ impl Names {
     /// Path relative to `folder` of the file that is meant by a name: the file of this very name,
     /// else the only one that fits.
     pub fn locate(&self, folder: &Path, name: &str) -> Option<String> {
+        // Before any file is looked up: the name may lead out of the folder.
         let parts = name_parts(below_drive(name))?;
         if folder.join(name).is_file() {
             return Some(name.to_owned());
@@ -171,6 +172,7 @@ pub(super) fn to_names_of_files(
     if let Some(images) = images {
         let search = ImageSearch::new(vec![images.to_path_buf()]);
         rename(names, |name| {
+            // A file of this very name is meant, even with a backslash in it.
             if images.join(name).is_file() {
                 from_folder(name, images)
             } else {

@@ -87,6 +87,7 @@ fn distorted_model(project: &Path, model: &ModelLocation, images: &Path) -> Opti
     if others.is_empty() {
         return None;
     }
+    // Only where a candidate is left: the poses of a large model take long to read.
     let own = poses(project, model).filter(|own| !own.is_empty())?;
     let is_same =
         |other: &ModelLocation| poses(project, other).is_some_and(|other| are_among(&own, &other));

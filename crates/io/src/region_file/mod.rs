@@ -96,6 +96,7 @@ fn contents(bytes: &[u8], text: &[u8]) -> Result<RegionFile, RegionFault> {
             let mesh = ply::read_at_most(text, MOST_TRIANGLES)?;
             mesh.map(RegionFile::Mesh).ok_or(RegionFault::Triangles)
         }
+        // Six numbers are short: a large file of another kind is not parsed for them.
         _ if text.len() < 4096 => {
             let numbers = std::str::from_utf8(text).ok().and_then(parse_box);
             numbers.map(RegionFile::Box).ok_or(RegionFault::Unknown)

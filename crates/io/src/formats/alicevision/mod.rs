@@ -45,6 +45,7 @@ struct View {
     intrinsic_id: Option<Number<u32>>,
     rig_id: Option<Number<u32>>,
     sub_pose_id: Option<Number<usize>>,
+    // Misspelt as in the file.
     is_pose_independant: Option<Number<bool>>,
     #[serde(default)]
     path: String,

@@ -129,6 +129,7 @@ fn split(all: &[Point3<f64>], points: &mut [u32]) {
     }
     let (low, high) = corners(all, points);
     let axis = (high - low).imax();
+    // A multiple, so that `chunks` later finds the same blocks.
     let middle = (points.len() / 2).next_multiple_of(BLOCK);
     let along = |&point: &u32| (all[point as usize][axis], point);
     if middle < points.len() {

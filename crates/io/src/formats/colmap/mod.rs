@@ -261,6 +261,8 @@ impl ColmapModel<'_> {
             let view = image.view(position as u32, cameras);
             views.push(view.map_err(|problem| image.fault(problem))?);
         }
+        // Indices of views must not depend on the order of the file: equal results are ordered by
+        // them.
         views.sort_by(|a, b| a.name.cmp(&b.name));
         if let Some(same) = views.windows(2).find(|pair| pair[0].name == pair[1].name) {
             return Err(self.duplicate("image name", same[1].name.clone(), &same[1]));
@@ -278,6 +280,7 @@ impl ColmapModel<'_> {
     }
 
     fn check_point_ids(&self) -> Result<(), Fault> {
+        // Strictly ascending ids cannot repeat, which saves sorting millions of them.
         if self
             .points
             .par_windows(2)

@@ -52,6 +52,7 @@ impl ColmapModel<'_> {
     fn rigs_and_frames(&self, warnings: &mut Vec<ModelWarning>) -> Option<(&[Rig], &[Frame])> {
         match (&self.rigs, &self.frames) {
             (Some(rigs), Some(frames)) => {
+                // Two empty files say nothing of the images.
                 let is_any = !rigs.is_empty() || !frames.is_empty();
                 is_any.then_some((rigs, frames))
             }

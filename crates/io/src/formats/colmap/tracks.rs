@@ -42,6 +42,7 @@ impl ImageIds {
     /// The index of the first view with a duplicate image id.
     pub(super) fn new(views: &[View]) -> Result<Self, u32> {
         let mut ids = Self {
+            // In proportion to the views, however large a single id is.
             dense: vec![None; 1024 + 4 * views.len()],
             sparse: HashMap::new(),
         };
@@ -347,6 +348,7 @@ impl ColmapPoint<'_> {
             observations.push((image_view.view, pixel));
             Ok(())
         })?;
+        // A stable sort: repeated measurements of a view keep the order of the track.
         observations.sort_by_key(|o| o.0);
         Ok(())
     }

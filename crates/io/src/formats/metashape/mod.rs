@@ -220,6 +220,8 @@ impl Chunk {
             match &*entered.name {
                 "camera" => {
                     let camera = xml.whole(entered)?;
+                    // A group's label is shared: one of a megabyte may stand above thousands of
+                    // cameras.
                     let camera = ChunkCamera::read(&camera, group.clone())?;
                     self.cameras.push(camera);
                     check_images(self.cameras.len())?;
