@@ -107,6 +107,7 @@ impl<'de> Visitor<'de> for Appended<'_> {
 pub fn text<'de, D: Deserializer<'de>, T: DeserializeOwned, const MOST: usize>(
     deserializer: D,
 ) -> Result<T, D::Error> {
+    // Its length is known before any of its values takes memory.
     let text = Box::<RawValue>::deserialize(deserializer)?;
     if text.get().len() > MOST {
         return Err(D::Error::custom(format_args!("{MORE_THAN} {MOST} bytes")));

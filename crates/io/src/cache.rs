@@ -97,6 +97,7 @@ impl CacheFile {
         let inputs = self.inputs.as_ref()?;
         let mut file =
             BufReader::with_capacity(BLOCK, output::open_own(&self.home, self.path).ok()?);
+        // A planted file may be one line of any length.
         let mut line = |most| {
             let mut text = String::new();
             file.by_ref().take(most).read_line(&mut text).ok()?;

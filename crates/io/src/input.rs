@@ -88,6 +88,7 @@ fn open_with_metadata(path: &Path) -> io::Result<(File, Metadata)> {
     options.read(true);
     platform::never_block(&mut options);
     let file = options.open(path)?;
+    // Of the open file: another one may have its name by now.
     let found = file.metadata()?;
     let what = if found.is_dir() {
         "a folder"
@@ -223,6 +224,7 @@ pub fn read_large(file: &File, kind: FileKind) -> io::Result<Vec<u8>> {
 
 /// Reads a range of bytes of a file on all threads.
 pub fn read_range(file: &File, range: Range<u64>) -> io::Result<Vec<u8>> {
+    // Small in tests, so that their files have several parts.
     const PART: usize = if cfg!(test) { 4 } else { 8 << 20 };
     let length = range.end.saturating_sub(range.start);
     let mut bytes = large_pages::try_zeroed(usize::try_from(length).unwrap_or(usize::MAX))?;

@@ -23,6 +23,7 @@ const START: u64 = 512;
 const UNPACK: &str = "unpack it";
 const HEIC: &str = "a HEIC image, which MVS programs do not read";
 const AVIF: &str = "an AVIF image, which MVS programs do not read";
+// The poses and pixels of a model refer to the images as they were.
 const AS_JPEG: &str = "convert the images to JPEG, without turning or scaling them";
 const AS_UTF8: &str = "save it again as UTF-8";
 /// First bytes, what they are, and what to do.

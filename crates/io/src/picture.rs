@@ -76,6 +76,7 @@ fn strips(file: &mut (impl Read + Seek)) -> io::Result<u64> {
             little_endian
         }
     };
+    // 42 in a TIFF, 43 in a BigTIFF.
     let is_big = number(&head[2..4]) == 43;
     let (start, of_count, of_entry) = if is_big {
         (number(&head[8..16]), 8, 20)

@@ -437,6 +437,7 @@ fn read_vertices(
     let [Some(x), Some(y), Some(z)] = ["x", "y", "z"].map(axis) else {
         return Err(body.error("the element vertex has no x, y and z"));
     };
+    // `check_room` has compared the count with the file.
     vertices.reserve(element.count as usize);
     for _ in 0..element.count {
         let start = body.at;
@@ -481,6 +482,7 @@ fn read_faces(
                 _ => body.skip(property)?,
             }
         }
+        // Before they are made: a polygon has few bytes for each of its triangles.
         if triangles.len() + polygon.len().saturating_sub(2) > most {
             return Ok(false);
         }
@@ -607,6 +609,7 @@ fn write_header(
     double: bool,
 ) -> String {
     let mut header = String::from("ply\nformat binary_little_endian 1.0\n");
+    // A line break in the name of a region could add lines to the header.
     comments
         .iter()
         .for_each(|c| header += &format!("comment {}\n", c.replace(['\n', '\r'], " ")));

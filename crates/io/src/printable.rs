@@ -30,6 +30,7 @@ pub fn json_escaped(text: &str) -> String {
                 text
             })
     };
+    // Line breaks are those of the layout: JSON has escaped the ones in texts.
     escaped(text, |c| if c == '\n' { c.into() } else { escape(c) })
 }
 

@@ -82,6 +82,7 @@ pub fn shown_path(path: &Path) -> String {
 /// Quotes for both cmd and PowerShell; what PowerShell expands between double quotes gets the
 /// quotes of PowerShell.
 fn for_windows(word: &str) -> String {
+    // cmd expands `%`, and `,` and `@` are operators of PowerShell.
     if is_plain(&word.replace('\\', "/")) && !word.contains([',', '%', '@']) {
         return word.into();
     }

@@ -77,6 +77,7 @@ impl ScanLines {
         let window = header.window.ok_or_else(|| lacks("dataWindow"))?;
         let [width, height] = size(window)?;
         let sample = header.sample.ok_or_else(|| lacks("channels"))?;
+        // The format's numbers of no compression, ZIPS (row by row) and ZIP (16 rows).
         let rows_of_chunk = match header.compression.ok_or_else(|| lacks("compression"))? {
             0 | 2 => 1,
             3 => 16,
@@ -102,6 +103,7 @@ impl ScanLines {
         if row < 0 || rows < 1 {
             return Err((at, format!("a line outside the map of {height} lines")));
         }
+        // The last chunk may have fewer rows.
         let length = width * sample * rows.min(self.rows_of_chunk.into()) as usize;
         let start = at.saturating_add(8);
         let stored = u32_at(bytes, at.saturating_add(4))? as usize;

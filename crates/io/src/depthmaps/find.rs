@@ -282,6 +282,7 @@ pub fn files_of(folder: &Path, path: &Path) -> Vec<PathBuf> {
     let itself = std::iter::once(path.to_path_buf());
     match format {
         DepthMapFormat::MicMac => match micmac_mark(path) {
+            // The mark is written last, so it changes with the images.
             Some(mark) => itself.chain([mark]).collect(),
             None => itself
                 .chain(micmac_images(path).into_iter().flatten())
@@ -503,6 +504,7 @@ fn by_suffix(scene: &Scene, path: &str, extension: &str) -> Option<ViewIndex> {
 /// one more; `None` if several views may be meant.
 fn by_suffix_of_any_kind(scene: &Scene, path: &str) -> Option<ViewIndex> {
     fn stem(name: &str) -> &str {
+        // What follows a dot may also be a part of the name.
         let is_kind = is_image(Path::new(name));
         let stem = name.rsplit_once('.').filter(|_| is_kind);
         stem.map_or(name, |(stem, _)| stem)

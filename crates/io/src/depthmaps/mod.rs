@@ -509,6 +509,8 @@ pub fn parse(
         DepthMapFormat::MicMac => micmac::parse(bytes, bound, beside),
         DepthMapFormat::Npy => npy::parse(bytes, bound),
     }?;
+    // Formats differ in what they write for no depth: AliceVision -1, others 0 or what is no
+    // number.
     for z in &mut depth {
         if !(z.is_finite() && *z > 0.0) {
             *z = 0.0;

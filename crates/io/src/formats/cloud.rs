@@ -103,6 +103,7 @@ pub fn is_far_away(model: &ColmapModel, points: &[Point3<f64>]) -> bool {
 
 /// The middle of places, and their median distance from it.
 fn middle(places: &[Point3<f64>]) -> Option<(Point3<f64>, f64)> {
+    // Medians, so that a few stray points do not move the middle.
     let along = |axis: usize| upper_median(places.iter().map(|place| place[axis]));
     let centre = Point3::new(along(0)?, along(1)?, along(2)?);
     let distances = places.iter().map(|place| (place - centre).norm());
@@ -251,6 +252,7 @@ pub fn complete(model: &mut ColmapModel) {
     if model.points.iter().all(|point| point.track.is_empty()) {
         follow_lists(model);
     }
+    // With a single image no point could get a second observation.
     if !has_tracks(model) && !model.points.is_empty() && model.images.len() > 1 {
         let why = if model.points.iter().any(|point| !point.track.is_empty()) {
             "no point is observed by two images"

@@ -104,6 +104,7 @@ fn records<'a, T>(
     if file == "cameras" {
         check_images(count).map_err(|fault| fault.in_file(file))?;
     }
+    // In proportion to the file, with which the count has been compared.
     let mut all = large_pages::room_for(count);
     for n in 0..count {
         all.push(

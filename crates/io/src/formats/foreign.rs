@@ -274,6 +274,7 @@ pub fn last_parts(name: &str) -> Vec<String> {
         .take(KEPT_FOLDERS);
     let mut parts: Vec<String> = ends.map(|(at, _)| slashes[at + 1..].to_owned()).collect();
     parts.push(name.to_owned());
+    // The longest end first: a shorter one fits more files.
     parts.reverse();
     parts
 }

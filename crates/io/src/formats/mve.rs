@@ -87,6 +87,8 @@ impl View {
             .at(Place::File)
         })?;
         let (w, h) = (f64::from(width), f64::from(height));
+        // The larger side is that of the image as it is shown: `pixel_aspect` is the width of a
+        // pixel over its height.
         let fx = if w * self.pixel_aspect < h {
             focal * h / self.pixel_aspect
         } else {

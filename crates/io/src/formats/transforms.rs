@@ -279,6 +279,7 @@ impl Lens {
         let [k1, k2, k3, k4] = k;
         match kind {
             _ if is_fisheye => Some((CameraModel::OpenCvFisheye, [pinhole, k].concat())),
+            // Brown's model has three radial terms.
             "OPENCV" | "PINHOLE" | "SIMPLE_PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" if k4 == 0.0 => {
                 Some(brown(pinhole, [k1, k2, k3], p))
             }

@@ -189,6 +189,7 @@ impl<'a> Disk<'a> {
             }
             self.change(Operation::Write, at, || file.write_all(&block[..length]))?;
         }
+        // A journal must name only files whose contents are on the disk.
         self.change(Operation::Sync, at, || file.sync_all())
     }
 

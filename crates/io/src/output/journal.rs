@@ -16,6 +16,7 @@ use crate::bounded;
 const MOST: usize = 1 << 20;
 
 pub(super) const FOLDER: &str = "viewrank";
+// In the project and not among temporary files: a rename does not cross file systems.
 pub(super) const STAGING: &str = "viewrank/.staging";
 pub(super) const JOURNAL: &str = "viewrank/.journal.json";
 

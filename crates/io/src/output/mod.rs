@@ -125,7 +125,8 @@ pub fn write_all(sets: &[FileSet], disk: &Disk) -> Result<Vec<WriteReport>, Outp
         .flat_map(|set| set.files.keys())
         .try_for_each(|path| check_name(path))?;
     let mut written = vec![WriteReport::default(); sets.len()];
-    // The first set has the daemon's record of the plan, which must not be there before the files.
+    // The first set has the daemon's record of the plan, which must not be there before the other
+    // files.
     for root in roots(sets).into_iter().rev() {
         write_root(root, sets, disk, &mut written)?;
     }

@@ -281,6 +281,7 @@ impl Staging<'_> {
             .cloned()
             .collect();
         for path in stale {
+            // An edited file has no claim any more: it is the user's.
             if !self
                 .records
                 .claim(&path)?

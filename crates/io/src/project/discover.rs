@@ -522,6 +522,7 @@ fn dense_workspace(root: &Path, model: &ModelLocation) -> Option<PathBuf> {
         return Some(root.into());
     }
     let workspaces = dense_folders(root, model);
+    // The poses of a large model take long to read, for nothing without a workspace.
     let own = if workspaces.is_empty() {
         None
     } else {
@@ -590,6 +591,7 @@ pub(super) fn dense_folders(root: &Path, model: &ModelLocation) -> Vec<PathBuf> 
     let homes = [Some(root), home_of(root, model)].into_iter().flatten();
     let usual = homes.flat_map(|home| WORKSPACES.map(|folder| home.join(folder)));
     let mut folders: Vec<PathBuf> = usual.flat_map(of).collect();
+    // The project may itself be the folder that holds the model.
     let mut known = HashSet::new();
     folders.retain(|folder| folder.join("stereo").is_dir() && known.insert(folder.clone()));
     folders

@@ -73,6 +73,7 @@ impl ProjectError {
                     .or_else(|| mistaken::text_as_binary(&path))
                     .or_else(|| mistaken::json_without_frames(&path, &fault));
                 match mistaken {
+                    // The kind of a file says nothing of its contents, which a fault may quote.
                     Some(mistaken) => Self::Mistaken { path, mistaken },
                     None if is_outside(&path, named) => Self::Fault {
                         path,

@@ -230,6 +230,8 @@ impl Project {
                 let project = elsewhere::project_of(path).unwrap_or_default();
                 let project = Self::open(&paths::from_here(&project), model)?;
                 Ok(Self {
+                    // The folder may be a stranger's and lead to any project, of whose files errors
+                    // must not tell.
                     named: path.into(),
                     ..project.with_home(path)
                 })
@@ -252,6 +254,7 @@ impl Project {
 
     /// The same project with its images in this folder; `None`: where they were found.
     pub fn with_images(self, images: Option<&Path>) -> Self {
+        // Images that the user names are meant, whatever they were made from.
         let originals = self.originals.filter(|_| images.is_none());
         let images = images.map(ImageFolder::new).or(self.images);
         Self {

@@ -136,6 +136,7 @@ impl Names {
             }
         }
         listing.find_reduced();
+        // Counted references, so that other folders can be listed while one is in use.
         let listing = Rc::new(listing);
         self.listings
             .borrow_mut()

@@ -48,6 +48,7 @@ pub(super) fn listed_tests(
     let lists = test_lists(root, model);
     let mut named: Vec<String> = lists.iter().flat_map(|list| lines(&read(list))).collect();
     let of_nerfstudio = root.join(TRANSFORMS);
+    // Where it is the model itself, its reader has taken the splits.
     if model.path != of_nerfstudio {
         let splits = input::read(&of_nerfstudio, FileKind::Sparse).unwrap_or_default();
         named.extend(transforms::tests(&splits));

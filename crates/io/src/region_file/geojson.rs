@@ -415,6 +415,7 @@ fn coordinates(crs: Option<Option<Crs>>, axes: Option<&RawValue>) -> Result<Coor
         Some(Some(crs)) => crs,
     };
     let name = crs.properties.name;
+    // Two of these have heights, which are not read.
     let is_geodetic = ["CRS84", "CRS84h", "4326", "4979"]
         .iter()
         .any(|end| name.ends_with(end));

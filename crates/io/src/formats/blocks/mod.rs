@@ -43,6 +43,7 @@ pub fn read(bytes: &[u8]) -> Result<ForeignModel, Fault> {
                 if block.images() > largest.images() {
                     std::mem::swap(&mut block, &mut largest);
                 }
+                // After the exchange, this is the one that was the largest before.
                 if block.images() > 0 {
                     others.push((block.name.clone(), block.images()));
                 }

@@ -170,6 +170,7 @@ impl Terms {
     fn frame(&self, corner: f64) -> Projection {
         let ([fx, fy], [cx, cy]) = (self.focal, self.centre);
         let ([k1, k2, k3, k4], [p1, p2, p3, p4]) = (self.k, self.p);
+        // Bounds at the corner r: k4 moves it by r⁹ at most, and r² + 2x² and 2xy are up to 3 r².
         let tangential =
             (p1.abs() + p2.abs()) * (p3.abs() * corner.powi(2) + p4.abs() * corner.powi(4));
         let (model, params) = brown([fx, fy, cx, cy], [k1, k2, k3], [p2, p1]);

@@ -196,6 +196,7 @@ impl<'a> Reader<'a> {
         let mut read = 0;
         let mut images = self.list("images", 20, |reader| {
             read += 1;
+            // One by one: an image of 20 bytes in the file takes far more in memory.
             check_images(read)?;
             reader.image()
         })?;
