@@ -12,6 +12,7 @@ pub fn place_and_fault(error: &serde_json::Error, bytes: &[u8]) -> String {
 /// Says which value of JSON is not what it should be, and how.
 pub fn fault(error: &serde_json::Error, bytes: &[u8]) -> String {
     let text = error.to_string();
+    // Serde appends the place, which callers say in their own way.
     let at = format!(" at line {} column {}", error.line(), error.column());
     let what = in_words(text.strip_suffix(&at).unwrap_or(&text));
     match &*path_to(read_until(error, bytes)) {
@@ -68,6 +69,7 @@ fn value(found: &str) -> Cow<'_, str> {
         "map" => "an object".into(),
         "sequence" => "a list".into(),
         "unit value" => "null".into(),
+        // Of a wrong length, serde says the number alone.
         _ if found.bytes().all(|byte| byte.is_ascii_digit()) => format!("a list of {found}").into(),
         _ => found.into(),
     }
@@ -137,6 +139,7 @@ fn path_to(start: &[u8]) -> String {
             b'"' => {
                 let begin = at;
                 while start.get(at).is_some_and(|byte| *byte != b'"') {
+                    // An escaped quote does not end the text.
                     at += if start[at] == b'\\' { 2 } else { 1 };
                 }
                 text = &start[begin..at.min(begin + LONGEST_NAME).min(start.len())];

@@ -172,6 +172,7 @@ pub fn header<'a>(file: impl BufRead + Seek + 'a) -> ImageResult<impl ImageDecod
         file.by_ref()
             .take(JPEG_HEADER_BYTES)
             .read_to_end(&mut bytes)?;
+        // The decoder goes through the segments to find the header.
         jpeg::scans(&bytes).map_err(io::Error::other)?;
         file.rewind()?;
         reader = ImageReader::with_format(file, ImageFormat::Jpeg);

@@ -49,6 +49,7 @@ pub struct Stamp {
 /// Half the size at which an image is matched, whose camera may be of another size.
 fn grey_size([width, height]: [u32; 2], camera: &Camera, image_scale: f64) -> [u32; 2] {
     let scale = image_scale / SPACING * f64::from(camera.width) / f64::from(width);
+    // A reduced copy of the image is not enlarged again.
     [width, height].map(|side| ((f64::from(side) * scale.min(1.0)).round() as u32).max(2))
 }
 

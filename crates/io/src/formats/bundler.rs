@@ -139,11 +139,13 @@ fn assemble(
             .model
             .cameras
             .push(camera(intrinsics, || format!("camera {id}, {name:?}"))?);
+        // Bundler's cameras have y up and z backward.
         let flip = Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0));
         let pose = pose(flip * bundler.rotation, flip * bundler.translation);
         let pose = pose.map_err(|problem| problem.at(at).in_record(|| format!("camera {id}")))?;
         foreign.add_image(id, name.clone(), id, pose, at);
         if let Some(image) = foreign.model.images.last_mut() {
+            // Bundler's pixels count from the centre, and upwards.
             image.points2d = points.take_points2d(n, |[x, y]| [half[0] + x, half[1] - y]);
         }
     }

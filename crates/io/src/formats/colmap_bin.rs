@@ -32,6 +32,7 @@ use super::{
 pub fn read<'a>(bytes: &Bytes<'a>) -> Result<ColmapModel<'a>, Fault> {
     let mut warnings = Vec::new();
     Ok(ColmapModel {
+        // The numbers are the bytes of the smallest record, with an empty name and empty lists.
         cameras: records(
             "cameras",
             bytes.cameras,

@@ -82,6 +82,7 @@ fn track(
     is_registered: &[bool],
     points2d: &mut [Vec<Point2d>],
 ) -> Result<Vec<TrackElement>, Fault> {
+    // Four numbers of one digit, each with a separator.
     let count = words.count("observations", 8)?;
     let mut track = Vec::with_capacity(count);
     for _ in 0..count {

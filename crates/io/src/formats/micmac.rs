@@ -137,6 +137,7 @@ impl Calibration {
         let Distortion {
             centre,
             radial: [c0, c1, c2],
+            // COLMAP's models have no skew b2; `largest_error_px` shows what that costs.
             brown: [p1, p2, b1, _],
         } = self.distortion;
         let f2 = focal * focal;

@@ -165,6 +165,7 @@ struct Stored {
 impl Stored {
     fn read(words: &mut Words) -> Result<Self, Fault> {
         let at = words.place();
+        // The distortion is that of the original image, and the model has the undistorted one.
         let [focal, _, _] = words.numbers("the focal length, k1 and k2")?;
         let rotation = words.numbers::<9>("a rotation matrix")?;
         let translation = words.numbers::<3>("a translation")?;

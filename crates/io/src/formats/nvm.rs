@@ -143,6 +143,7 @@ fn assemble(nvm: NvmModel, size_of: SizeLookup) -> Result<ForeignModel, Fault> {
         let half = [f64::from(width) / 2.0, f64::from(height) / 2.0];
         let id = image_id(n);
         let what = || format!("camera {id}, {:?}", nvm.name);
+        // VisualSFM's r undistorts; to first order the opposite distorts.
         let params = vec![f, half[0], half[1], -r];
         let intrinsics = Camera::new(
             id,

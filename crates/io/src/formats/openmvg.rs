@@ -120,6 +120,7 @@ pub fn read(bytes: &[u8]) -> Result<ForeignModel, Fault> {
             .iter()
             .filter_map(|o| Some((*images.get(&o.key)?, shift(o.value.x))));
         let id = u64::from(*key);
+        // The file has no colours.
         foreign.add_point(id, value.position, [255; 3], observations, Place::File);
     }
     foreign.image_folder = Some(data.root_path).filter(|path| !path.is_empty());

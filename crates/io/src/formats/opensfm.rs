@@ -321,6 +321,7 @@ fn observations(
         }
         let at = Place::Line(n as u64 + 1);
         let row = Row::read(line, at)?;
+        // The file has the tracks of all images, also of those in other reconstructions or none.
         if let (Some(shot), Some(&point)) = (shots.get(row.shot), point_of.get(row.track)) {
             of_points[point].push((shot.image, shot.camera.pixel(row.normalised)));
         }

@@ -178,6 +178,7 @@ fn distortion(entries: &Entries, pinhole: [f64; 4]) -> Result<(CameraModel, Vec<
     let Some(entry) = entries.get("IntOri_Distortion") else {
         return Ok(without);
     };
+    // Behind the name of the model and the number of its parameters.
     let values = entry.words().skip(2).filter_map(|word| parse(word).ok());
     let values: Vec<f64> = values.take(6).collect();
     match (entry.words().next(), &values[..]) {
@@ -346,8 +347,10 @@ fn key(name: &str, note: &str) -> String {
 
 fn interior(camera: &Camera) -> [String; 12] {
     let (focal, centre) = camera.pinhole_part();
+    // The centre of SURE's first pixel is (0, 0).
     let (cx, cy) = (centre.x - 0.5, centre.y - 0.5);
     [
+        // Length and pixel size are ignored beside the camera matrix, but belong to the file.
         key("IntOri_FocalLength", "[mm]"),
         "\t1.0".into(),
         key("IntOri_PixelSize______(x|y)", "[mm]"),

@@ -146,6 +146,7 @@ pub(super) fn parse<T: FromStr>(field: &[u8]) -> Result<T, ()> {
 pub(super) fn name_and_numbers<const N: usize>(line: &[u8]) -> Option<(&[u8], [f64; N])> {
     let mut numbers = [0.0; N];
     let mut left = line.trim_ascii();
+    // From the end: the name may have blanks, and words that are numbers.
     for number in numbers.iter_mut().rev() {
         let start = left.iter().rposition(|b| b.is_ascii_whitespace())?;
         *number = parse(&left[start + 1..]).ok()?;

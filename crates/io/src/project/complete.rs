@@ -34,6 +34,7 @@ pub(super) fn completed<'a>(
     };
     match path.filter(|_| !points.is_empty()) {
         None => model.warnings.push(no_points(location)),
+        // An error, since a plan would take them for surface that no photograph shows.
         Some(path) if cloud::views_per_point(&model, &points) == 0.0 => {
             return Err(other_coordinates(&path, "no point projects into any image"));
         }
@@ -60,6 +61,7 @@ pub(super) fn cloud_beside(location: &ModelLocation) -> Option<PathBuf> {
 /// The folder of a model, and that of the project whose `sparse` it is in.
 fn folders_of_clouds(location: &ModelLocation) -> impl Iterator<Item = &Path> {
     let is_colmap = location.format.is_colmap();
+    // Of COLMAP's models the path is a folder, of others a file in one.
     let own = Some(&*location.path).filter(|_| is_colmap);
     let mut above = own.into_iter().flat_map(|path| path.ancestors().take(2));
     let sparse = above.find(|folder| folder.ends_with("sparse"));
@@ -81,6 +83,7 @@ pub(super) fn clouds_in(folder: &Path) -> Vec<Cloud> {
     let mut clouds: Vec<Cloud> = clouds
         .map(|name| Cloud::examined(folder.join(name)))
         .collect();
+    // A file whose header cannot be read still counts: alone, it is the one that the error names.
     clouds.sort_by_key(|cloud| {
         let is_mesh = cloud.counts.is_some_and(|[_, faces]| faces > 0);
         let vertices = cloud.counts.map_or(0, |[vertices, _]| vertices);

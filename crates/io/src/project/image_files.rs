@@ -20,6 +20,7 @@ pub(super) const MOST_ENTRIES: usize = 500_000;
 /// programs' own copies.
 pub fn images_below(folder: &Path, is_wanted: impl Fn(&Path) -> bool) -> Vec<String> {
     let entries = WalkDir::new(folder)
+        // This folder was chosen, even if it is a link.
         .follow_root_links(true)
         .sort_by_file_name()
         .into_iter()
@@ -27,6 +28,7 @@ pub fn images_below(folder: &Path, is_wanted: impl Fn(&Path) -> bool) -> Vec<Str
         .take(MOST_ENTRIES);
     let images = entries
         .filter_map(Result::ok)
+        // Also through a link: images often are links to a store.
         .filter(|entry| is_image(entry.path()) && entry.path().is_file());
     let names = images.filter_map(|entry| {
         entry
@@ -102,6 +104,7 @@ fn masked(name: &str) -> Vec<String> {
 
 /// The stem without the mark of a mask at its end.
 fn strip_mark(stem: &str) -> Option<&str> {
+    // The cut may fall within a character of a name that is no mask's.
     let (rest, mark) = stem.split_at_checked(stem.len().checked_sub(MASK.len())?)?;
     let rest = rest.strip_suffix(['_', '-', '.'])?;
     (mark.eq_ignore_ascii_case(MASK) && !rest.is_empty()).then_some(rest)

@@ -203,6 +203,7 @@ impl View {
         let Some(sub_pose) = self.sub_pose(&parts.rigs)? else {
             return Ok(Some((rotation, centre)));
         };
+        // x_cam = R_sub (R (X - c) - c_sub)
         let (sub_rotation, sub_centre) = sub_pose.rotation_and_centre()?;
         Ok(Some((
             sub_rotation * rotation,

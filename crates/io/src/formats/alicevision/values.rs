@@ -43,6 +43,7 @@ impl<T: FromStr> Visitor<'_> for Quoted<T> {
     }
 
     fn visit_bool<E: Error>(self, value: bool) -> Result<Self::Value, E> {
+        // By its text, since any type that can be parsed may be wanted.
         self.visit_str(&value.to_string())
     }
 

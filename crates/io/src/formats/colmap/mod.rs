@@ -117,6 +117,7 @@ impl From<&Pose> for StoredPose {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]
 pub struct Point2d {
+    // Bytes, since the records of a file begin anywhere.
     x: [u8; 8],
     y: [u8; 8],
     point: [u8; 8],

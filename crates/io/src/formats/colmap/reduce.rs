@@ -99,6 +99,7 @@ impl ColmapModel<'_> {
         let mut lists = vec![Vec::new(); scene.views.len()];
         let points = (0..scene.points.len() as u32).map(PointIndex);
         let points = points.map(|point| ColmapPoint::of_scene(scene, point, &ids, &mut lists));
+        // Before the images, whose lists this fills.
         let points = points.collect();
         let images = scene.views.iter().zip(ids).zip(lists);
         let images = images.map(|((view, id), list)| ColmapImage {

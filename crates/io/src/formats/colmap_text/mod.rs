@@ -298,6 +298,7 @@ fn point(mut line: Line) -> Result<ColmapPoint<'static>, Fault> {
         let index = line.number("the 2D point of a track element")?;
         track.push(TrackElement::new(image, index));
     }
+    // There are millions of tracks: none is to keep room that it does not fill.
     track.shrink_to_fit();
     Ok(ColmapPoint {
         id,
@@ -326,6 +327,7 @@ fn rig(mut line: Line) -> Result<Rig, Fault> {
     let at = line.place();
     let id = line.number("a rig id")?;
     let count: u64 = line.number("the number of sensors")?;
+    // Without room for `count`, which a short line may claim.
     let mut sensors = Vec::new();
     for n in 0..count {
         let sensor = sensor(&mut line)?;

@@ -131,6 +131,7 @@ fn write_rig(text: &mut String, rig: &Rig) -> std::fmt::Result {
     for (n, (sensor, pose)) in rig.sensors.iter().enumerate() {
         write_sensor(text, sensor)?;
         match pose {
+            // The reference sensor has the axes of the rig.
             _ if n == 0 => {}
             None => text.push_str(" 0"),
             Some(pose) => {

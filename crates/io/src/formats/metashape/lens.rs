@@ -173,6 +173,7 @@ impl Terms {
         // Bounds at the corner r: k4 moves it by r⁹ at most, and r² + 2x² and 2xy are up to 3 r².
         let tangential =
             (p1.abs() + p2.abs()) * (p3.abs() * corner.powi(2) + p4.abs() * corner.powi(4));
+        // Metashape's p1 and p2 are OpenCV's p2 and p1.
         let (model, params) = brown([fx, fy, cx, cy], [k1, k2, k3], [p2, p1]);
         Projection {
             model,

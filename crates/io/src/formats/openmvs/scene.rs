@@ -67,6 +67,7 @@ impl Mvs {
         // Without a resolution, K is in units of the longer side of the image.
         let unit_px = if is_known { 1 } else { width.max(height) };
         let [fx, fy, cx, cy] = [k[0], k[4], k[2], k[5]].map(|term| term * f64::from(unit_px));
+        // OpenMVS's pixel centres are integers.
         let [cx, cy] = shift([cx, cy]);
         let (model, params) = (CameraModel::Pinhole, vec![fx, fy, cx, cy]);
         let found = Camera::new(id, model, width.into(), height.into(), params);
@@ -114,6 +115,7 @@ impl Mvs {
 
     /// Colour of a vertex; white if the scene has none.
     fn rgb(&self, vertex: usize) -> [u8; 3] {
+        // The file has blue first.
         let [b, g, r] = self.colours.get(vertex).copied().unwrap_or([255; 3]);
         [r, g, b]
     }

@@ -88,6 +88,7 @@ fn read_transforms(
         foreign.warn(WarningKind::Format, text);
     }
     let named = named.map(|cloud| path.with_file_name(cloud.replace('\\', "/")));
+    // The file may have been copied without the points that it names.
     let named = named.filter(|cloud| cloud.is_file());
     Ok((foreign, named.or_else(|| cloud_beside(model))))
 }
@@ -161,6 +162,7 @@ fn read_micmac(folder: &Path) -> Result<ForeignModel, ProjectError> {
     for (n, (image, path)) in (1..).zip(oriented_by_micmac(folder)) {
         let oriented = micmac::read_orientation(&files::read(&path)?);
         let oriented = oriented.map_err(ProjectError::fault(&path))?;
+        // Read once, though each of its images names it.
         let known = calibrations
             .iter()
             .position(|known| *known == oriented.calibration);
@@ -179,6 +181,7 @@ fn read_micmac(folder: &Path) -> Result<ForeignModel, ProjectError> {
 fn add_calibration(foreign: &mut ForeignModel, path: &Path, id: u32) -> Result<(), ProjectError> {
     let read = micmac::read_calibration(&files::read(path)?, id);
     let (camera, off) = read.map_err(ProjectError::fault(path))?;
+    // Half a pixel is less than other errors of a camera.
     if off > 0.5 {
         let name = path.file_name().unwrap_or_default().display();
         let text = format!("{name}: COLMAP's nearest camera is off by up to {off:.1} pixels");
@@ -216,6 +219,7 @@ pub(super) fn bundler_list(bundle: &Path) -> Option<PathBuf> {
     let undistorted = name
         .ends_with(".rd.out")
         .then(|| bundle.with_file_name("list.rd.txt"));
+    // Bundler writes `bundle/bundle.out`, and its list above.
     let up = bundle
         .parent()
         .and_then(Path::parent)
