@@ -6,6 +6,7 @@ use viewrank_core::base::error::shortened;
 
 /// Says where in a file JSON is not what it should be, and how: `line 3, "views[2].pose": ...`.
 pub fn place_and_fault(error: &serde_json::Error, bytes: &[u8]) -> String {
+    // Errors without a place have line 0.
     format!("line {}, {}", error.line().max(1), fault(error, bytes))
 }
 

@@ -76,6 +76,7 @@ pub fn by_start(start: &[u8]) -> Option<Mistaken> {
 
 /// A pointer in the place of a large file; `None` of the file itself.
 pub fn pointer(path: &Path) -> Option<Mistaken> {
+    // The descriptions of both kinds have the word, and no others.
     of_file(path).filter(|mistaken| mistaken.what.contains("pointer"))
 }
 
@@ -119,6 +120,7 @@ pub fn json_without_frames(path: &Path, fault: &Fault) -> Option<Mistaken> {
     let Problem::Json(what) = &fault.problem else {
         return None;
     };
+    // In the words of `json::fault`.
     if !what.contains("\"frames\" is missing") {
         return None;
     }

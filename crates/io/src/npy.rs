@@ -127,6 +127,7 @@ impl Array<'_> {
             return Err((PREAMBLE, what));
         }
         let size = size_of::<T>();
+        // A forged shape may have more values than there are numbers.
         let needed = self
             .shape
             .iter()

@@ -251,6 +251,7 @@ fn read_header(bytes: &[u8]) -> Result<Header, PlyError> {
 
 /// The next line, without its end; else what is wrong with it.
 fn header_line(rest: &[u8]) -> Result<&str, &'static str> {
+    // Gigabytes of another format may have no line end.
     let end = rest.iter().take(4096).position(|&b| b == b'\n');
     let end = end.ok_or("the header does not end")?;
     std::str::from_utf8(&rest[..end]).map_err(|_| "the header is not text; is this a PLY file?")
@@ -331,6 +332,7 @@ impl Body<'_> {
             .iter()
             .map(smallest)
             .sum::<usize>()
+            // An element without properties has no bytes, but a loop over it is to end soon.
             .max(1) as u64;
         // The last line of an ASCII file may have no line end.
         let left = (self.bytes.len() - self.at) as u64 + 1;

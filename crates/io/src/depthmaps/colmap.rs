@@ -40,6 +40,7 @@ fn number(bytes: &[u8], start: usize) -> Parsed<(u32, usize)> {
     let at = |at: usize| (at, "expected `WIDTH&HEIGHT&CHANNELS&`".to_string());
     let bad = || at(start);
     let rest = bytes.get(start..).unwrap_or_default();
+    // Ten digits and the `&`.
     let length = rest.iter().take(11).position(|&b| b == b'&');
     // With its fault at the end, a file that is still being written counts as unfinished, not as
     // damaged.

@@ -98,6 +98,7 @@ impl ScanLines {
     /// Reads the chunk at an offset of the file: its first row, its length, and its samples.
     fn read_chunk(&self, bytes: &[u8], at: usize, depth: &mut [f32]) -> Parsed<()> {
         let (width, height, sample) = (self.width as usize, self.height, self.sample);
+        // Rows are signed: the window may begin above 0.
         let row = i64::from(u32_at(bytes, at)? as i32) - i64::from(self.top);
         let rows = i64::from(height) - row;
         if row < 0 || rows < 1 {
@@ -191,6 +192,7 @@ fn sample(channels: &[u8]) -> Parsed<usize> {
 /// The bytes up to a 0; `at` moves behind that.
 fn word<'a>(bytes: &'a [u8], at: &mut usize) -> Parsed<&'a [u8]> {
     let rest = &bytes[(*at).min(bytes.len())..];
+    // Names have at most 255 characters.
     let end = rest.iter().take(256).position(|&b| b == 0);
     let end = end.ok_or_else(|| (*at, "expected a name in the header".to_string()))?;
     *at += end + 1;
@@ -211,6 +213,7 @@ fn unpacked(stored: &[u8], length: usize) -> Result<Vec<u8>, String> {
             bytes.len()
         ));
     }
+    // Each byte is the difference from the one before it, plus 128.
     for i in 1..length {
         bytes[i] = bytes[i].wrapping_add(bytes[i - 1]).wrapping_sub(128);
     }

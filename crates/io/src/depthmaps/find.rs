@@ -224,6 +224,7 @@ pub fn list_preferring(
                 continue;
             }
         };
+        // False is less than true, so that a preferred map comes first.
         let rank = (!is_preferred(path), rank);
         let found = (rank, path.to_path_buf(), format);
         match best.get_mut(&view) {
@@ -326,6 +327,7 @@ fn format_of(path: &Path) -> Option<(DepthMapFormat, u8)> {
         "depths_geom.dmb" => Some((DepthMapFormat::Dmb, 0)),
         "depths.dmb" => Some((DepthMapFormat::Dmb, 1)),
         "disp.dmb" if !is_set_aside => Some((DepthMapFormat::Gipuma, 0)),
+        // Filtered maps come before those that they were made from.
         _ if name.ends_with("_depthMap.exr") && !is_set_aside => Some((
             DepthMapFormat::AliceVision,
             u8::from(!(in_folder("filtered") || in_folder("DepthMapFilter"))),

@@ -97,6 +97,7 @@ fn cloud(bytes: &[u8]) -> Parsed<Cloud> {
     for (row, x) in ["L1", "L2", "L3"].into_iter().zip(direction) {
         cosine += numbers::<3>(matrix, row)?[2] * x;
     }
+    // What is not a number would pass the comparison.
     if cosine.is_nan() || (cosine - 1.0).abs() > SAME_DIRECTION {
         return Err((
             0,

@@ -33,6 +33,7 @@ pub fn resized(
     let bytes = bytes.map_err(DepthMapError::io(path))?;
     let ([w, h], values) = parse(&bytes, bound).map_err(DepthMapError::of_bytes(path, &bytes))?;
     let nearest = |at: u32, side: u32, of: u32| {
+        // In u64: the product of two sides may leave u32.
         let at = u64::from(at) * u64::from(of) / u64::from(side);
         at.min(u64::from(of) - 1) as usize
     };

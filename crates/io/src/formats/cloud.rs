@@ -198,6 +198,7 @@ fn shown(view: &Cone, blocks: &Blocks, cloud: &[Point3<f64>]) -> Vec<Point2d> {
     });
     let mut points2d: Vec<Point2d> = pixels.collect();
     points2d.sort_unstable_by_key(index);
+    // Each list is kept until the last view is done.
     points2d.shrink_to_fit();
     points2d
 }

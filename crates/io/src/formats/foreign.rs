@@ -209,6 +209,7 @@ fn normalise(name: &mut String) -> Option<bool> {
     if is_of_windows(name) {
         let has_drive = !name.starts_with('\\');
         let slash = if has_drive { "/" } else { "" };
+        // With the drive as a folder, names on several drives have no common beginning.
         *name = slash.to_owned() + &name.replace('\\', "/").replacen(':', "", 1);
         return Some(has_drive);
     }
@@ -336,6 +337,7 @@ pub(super) fn camera(
     what: impl FnOnce() -> String,
 ) -> Result<Camera, Fault> {
     camera
+        // Programs that undistort images leave the distortion in the file, as zeros.
         .map(Camera::without_zero_distortion)
         .map_err(|error| fault_in(error.into(), what))
 }

@@ -85,6 +85,7 @@ struct NvmModel {
 fn model(words: &mut Words) -> Result<NvmModel, Fault> {
     let count = words.count("cameras", 22)?;
     check_images(count)?;
+    // The rest of the line with the count: cameras are whole lines.
     words.line();
     let cameras = words.records("camera", count, nvm_camera)?;
     let count = if words.at_end() {

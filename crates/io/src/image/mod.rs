@@ -258,6 +258,7 @@ fn stored_luma(bytes: &[u8], bound: PixelBound) -> Option<(Vec<u8>, [u32; 2])> {
 pub fn drawn_size(full: [u32; 2]) -> [u32; 2] {
     let pixels = f64::from(full[0]) * f64::from(full[1]);
     let scale = (LEAST_PIXELS / pixels).sqrt().clamp(LEAST_SCALE, 1.0);
+    // The short side of a narrow picture must not become 0.
     full.map(|side| ((f64::from(side) * scale).round() as u32).max(1))
 }
 

@@ -189,7 +189,8 @@ impl<'a> Disk<'a> {
             }
             self.change(Operation::Write, at, || file.write_all(&block[..length]))?;
         }
-        // A journal must name only files whose contents are on the disk.
+        // A journal must name only files whose contents are on the disk, and some file systems find
+        // out only here that they are full.
         self.change(Operation::Sync, at, || file.sync_all())
     }
 

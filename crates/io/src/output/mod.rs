@@ -382,6 +382,7 @@ impl OutputError {
     /// Returns whether the change may succeed without the set: nothing has changed, and the disk is
     /// full, or something is wrong in a folder with files of the set.
     fn spares(&self, set: &FileSet) -> bool {
+        // Errors name whole paths, a set may have a relative one.
         let root = paths::absolute(&set.root);
         let folders = set.files.keys().filter_map(|path| Path::new(path).parent());
         let mut folders = folders.map(|folder| root.join(folder));

@@ -136,6 +136,7 @@ fn names_in_binary(mut file: BufReader<File>) -> io::Result<Vec<String>> {
         name.pop();
         names.extend(String::from_utf8(name));
         let observations = number(&mut file)?;
+        // A forged number is an error, and must not lead back in the file.
         let length = observations
             .checked_mul(24)
             .and_then(|length| i64::try_from(length).ok());
@@ -148,6 +149,7 @@ fn names_in_binary(mut file: BufReader<File>) -> io::Result<Vec<String>> {
 const SEARCHED: u64 = 16 << 20;
 
 fn names_in_text(file: BufReader<File>) -> Vec<String> {
+    // Up to the first error: a reader that fails again and again would give lines without end.
     let lines = file
         .take(SEARCHED)
         .lines()

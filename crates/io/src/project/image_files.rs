@@ -41,6 +41,7 @@ pub fn images_below(folder: &Path, is_wanted: impl Fn(&Path) -> bool) -> Vec<Str
         .filter(|name| is_wanted(name))
         .map(|name| slashes(&name))
         .collect();
+    // The walk sorts within each folder: it has `a/b` before `a-b`.
     wanted.sort_unstable();
     wanted
 }

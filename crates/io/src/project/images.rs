@@ -245,6 +245,7 @@ impl ImageFaults {
             Ok(Some(size)) if size != [camera.width, camera.height] => {
                 faults.other_size.push((view, size));
             }
+            // Of formats that cannot be checked nothing is said.
             Ok(_) => {}
             Err(Unread::Missing) => faults.missing.push(view),
             Err(Unread::Broken(why)) => faults.unreadable.push((view, why)),
@@ -299,6 +300,7 @@ impl ImageFaults {
             of_width.min(f64::from(height) / f64::from(camera.height))
         };
         let readable = scene.view_indices().filter(|view| !without.contains(view));
+        // The median, since a few images may be anything.
         upper_median(readable.map(of_view))
     }
 
@@ -454,6 +456,7 @@ pub(super) fn unregistered(folder: &ImageFolder, scene: &Scene) -> Vec<String> {
         .views
         .iter()
         .map(|view| &*view.name)
+        // The user has taken these out of the model, so they are not left over.
         .chain(scene.left_out.iter().map(String::as_str))
         .chain(folder.other_names().map(|(_, file)| file))
         // Either of them may be the file of a missing image.

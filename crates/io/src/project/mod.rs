@@ -408,6 +408,7 @@ impl Project {
                 others.retain(images::is_beside_views(&scene));
             }
             scene.unregistered.extend(others);
+            // Some models list images without a pose themselves.
             scene.unregistered.sort_unstable();
             scene.unregistered.dedup();
         }

@@ -81,6 +81,7 @@ impl Names {
         let (mut at, mut path) = (folder.to_path_buf(), String::new());
         for part in folders {
             let there = match *part {
+                // The one that `name_parts` admits, at the start of a name.
                 ".." => Some((*part).to_owned()),
                 part => self.folder_in(&at, part),
             }?;

@@ -271,6 +271,7 @@ fn area(node: Node) -> Result<Option<Area>, String> {
 
 /// The number of a property; its text if it is none, or out of range.
 fn number(raw: Option<&RawValue>, range: RangeInclusive<f64>) -> Result<Option<f64>, Cow<'_, str>> {
+    // GIS programs write null where a field is empty, which is no value here.
     let Some(raw) = raw else { return Ok(None) };
     match serde_json::from_str(raw.get()) {
         Ok(number) if range.contains(&number) => Ok(Some(number)),
@@ -348,6 +349,7 @@ fn check_rings(areas: &[Area]) -> Result<(), RegionFault> {
     let mut pairs = MOST_PAIRS;
     let rings = areas.iter().flat_map(|area| area.polygons.iter().flatten());
     let place = rings.filter_map(|ring| crossing(ring, &mut pairs)).next();
+    // Seven decimals of a degree are a centimetre.
     match place.map(|place| place.map(|x| to_decimals(x, 7))) {
         Some(place) => Err(RegionFault::Crossing(place)),
         None => Ok(()),

@@ -159,6 +159,7 @@ impl WholeMap {
     /// Returns the header with other sizes, and the camera matrix that belongs to them.
     fn enlarged_head(&self, head: &[u8], size: [u32; 2]) -> Vec<u8> {
         let mut head = head.to_vec();
+        // Of the image as of the map: the fusion takes one size for all.
         for (i, side) in size.into_iter().cycle().take(4).enumerate() {
             let at = SIZES + 4 * i;
             head[at..at + 4].copy_from_slice(&side.to_le_bytes());

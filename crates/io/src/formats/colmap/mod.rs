@@ -291,6 +291,7 @@ impl ColmapModel<'_> {
         }
         let mut order: Vec<usize> = (0..self.points.len()).collect();
         order.par_sort_unstable_by_key(|&p| (self.points[p].id, p));
+        // The first in the file, whatever its id, as in a reading from start to end.
         let twice = order
             .windows(2)
             .filter(|w| self.points[w[0]].id == self.points[w[1]].id)

@@ -188,6 +188,7 @@ impl Terms {
         Projection {
             model: CameraModel::OpenCvFisheye,
             params: [&self.focal[..], &self.centre, &self.k].concat(),
+            // A fisheye has the corner at its angle, not at the tangent of that.
             left_out_px: 3.0 * fx * (p1.abs() + p2.abs()) * corner.atan().powi(2),
         }
     }
