@@ -199,8 +199,10 @@ pub fn list_preferring(
         scene,
         views: None,
     };
+    // Sorted: which of two maps of a view is named first must not depend on the file system.
     for entry in WalkDir::new(folder).sort_by_file_name() {
         let entry = match entry {
+            // Only the folder itself must be there.
             Err(error) if error.depth() > 0 && error.io_error().is_some_and(is_gone) => continue,
             entry => entry
                 .map_err(input::cause)
@@ -600,6 +602,7 @@ fn read_view_names(
                 line + 1
             ),
         })?;
+        // The list may be that of an earlier export, with images that the scene lacks.
         if let Some(view) = scene.find(name) {
             views.insert(number, view);
         }

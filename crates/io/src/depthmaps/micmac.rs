@@ -95,6 +95,7 @@ fn cloud(bytes: &[u8]) -> Parsed<Cloud> {
     let direction = numbers::<3>(rays, "DirFaisceaux")?;
     let mut cosine = 0.0;
     for (row, x) in ["L1", "L2", "L3"].into_iter().zip(direction) {
+        // The third column is the optical axis in the world.
         cosine += numbers::<3>(matrix, row)?[2] * x;
     }
     // What is not a number would pass the comparison.

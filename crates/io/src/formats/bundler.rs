@@ -48,11 +48,13 @@ pub fn read(bundle: &[u8], list: &[u8], size_of: SizeLookup) -> Result<ForeignMo
         .line()
         .is_none_or(|line| line != b"# Bundle file v0.3")
     {
+        // From the start again, so that the error quotes the first word.
         return Err(Words::new(bundle).unexpected("# Bundle file v0.3"));
     }
     let cameras = words.count("cameras", SMALLEST[0])?;
     check_images(cameras)?;
     let points = words.count("points", SMALLEST[1])?;
+    // Cameras have their names by position alone: with another list, all would be wrong.
     if names.len() != cameras {
         let message = format!(
             "{} images in the list, but {cameras} cameras in the bundle file",

@@ -303,6 +303,7 @@ fn place_2d_points(model: &mut ColmapModel) {
         let x = Point3::from(point.xyz);
         let mut track = Vec::new();
         for element in point.track.iter() {
+            // Images that list 2D points keep them.
             let Some(&image) = positions.get(&element.image()) else {
                 track.push(*element);
                 continue;

@@ -241,6 +241,7 @@ impl Folder {
     /// The error of an access to a name: where a link on the way leads out, or a file is in the
     /// place of a folder, the first one.
     pub(super) fn failed(&self, name: &Path, error: io::Error) -> OutputError {
+        // Links are followed here, since it is through one of them that the way leads out.
         let first = |is: &dyn Fn(io::Result<Metadata>) -> bool| {
             let parts: Vec<&Path> = name.ancestors().collect();
             let mut parts = parts

@@ -68,6 +68,7 @@ pub struct FileSet {
     /// Name of the set; it replaces an earlier set of the same name below the same root, whose
     /// stale files are removed.
     pub name: String,
+    // By path, so that the steps of a change have one order.
     pub files: BTreeMap<String, Contents>,
     /// True for results that can be made again: where the disk is full, or a fault is in their
     /// folders, [`write_all`] writes the other sets without them.

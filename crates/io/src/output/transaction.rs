@@ -78,13 +78,13 @@ impl<'a> Root<'a> {
 
     /// Completes or undoes the change of an earlier process.
     fn settle(&self) -> Result<(), OutputError> {
+        // Without a journal, what is staged is of a process that ended before its change began.
         if let Some(journal) = found::journal(self)? {
             match journal.direction {
                 Direction::Finish => self.finish(&journal.change)?,
                 Direction::Undo => self.undo(&journal.change)?,
             }
         }
-        // Without a journal, these are of a process that ended before its change began.
         self.disk.remove_folder(&self.folder, STAGING)
     }
 

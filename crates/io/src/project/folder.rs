@@ -96,6 +96,7 @@ impl ImageFolder {
             path: path.into(),
             is_searched: false,
             rivals: Vec::new(),
+            // Shared by clones, one of which finds them when it reads the model.
             others: Arc::default(),
             masks: Arc::default(),
         }

@@ -45,6 +45,7 @@ struct Node {
 
 #[derive(Deserialize)]
 struct Properties {
+    // As text, which errors quote where it is no number.
     weight: Option<Box<RawValue>>,
     gsd: Option<Box<RawValue>>,
 }
@@ -236,6 +237,7 @@ fn areas(mut node: Node) -> Result<Areas, RegionFault> {
     if areas.iter().all(|area| area.polygons.is_empty()) {
         return Err(RegionFault::Collection("it has no polygon".into()));
     }
+    // The geometry of a file without a list has not been counted yet.
     check_positions(areas.iter().map(positions_of).sum()).map_err(RegionFault::Collection)?;
     check_rings(&areas)?;
     Ok(Areas {

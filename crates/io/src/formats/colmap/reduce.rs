@@ -188,6 +188,7 @@ impl ColmapPoint<'_> {
             if uses[position] != ImageUse::Removed {
                 track.push(TrackElement::new(image, index));
             }
+            // An image may observe a point twice, and is one view.
             if uses[position] == ImageUse::Counting {
                 views.insert(image);
             }

@@ -158,6 +158,7 @@ impl ImageLists<'_> {
                 .count()
         };
         let linked: usize = self.links.par_iter().map(linked).sum();
+        // Tracks may claim more 2D points than the lists link to points.
         linked.checked_sub(elements).filter(|unanswered| *unanswered > 0).map(|unanswered| {
             let text = format!(
                 "{unanswered} of {linked} 2D points in the images' lists name sparse points that are not there or do not name them; they \
@@ -247,6 +248,7 @@ impl<'p> Piece<'p> {
         for (n, points) in points.chunks(CHUNK).enumerate() {
             let first = n * CHUNK;
             let observations = offsets[first + points.len()] - offsets[first];
+            // Parts that do not overlap, so that threads need no lock.
             let (own_views, views_left) = views.split_at_mut(observations);
             let (own_pixels, pixels_left) = pixels.split_at_mut(observations);
             (views, pixels) = (views_left, pixels_left);

@@ -33,6 +33,7 @@ impl Lens {
         let [width, height] = size(sensor, calibration)?;
         let sides = [width as f64, height as f64];
         let projection = match kind {
+            // Panoramas have no calibration.
             "spherical" => Projection {
                 model: CameraModel::Equirectangular,
                 params: sides.to_vec(),
@@ -138,6 +139,7 @@ impl Terms {
                 [f + value("b1")?, f],
                 [w / 2.0 + value("cx")?, h / 2.0 + value("cy")?],
             ),
+            // As PhotoScan wrote it before 1.4.
             None => (
                 calibration.required(["fx", "fy"])?,
                 calibration.required(["cx", "cy"])?,

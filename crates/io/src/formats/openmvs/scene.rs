@@ -99,6 +99,7 @@ impl Mvs {
         for (n, vertex) in self.vertices.iter().enumerate() {
             let x = Point3::from(vertex.x.map(f64::from));
             let views = vertex.views.iter();
+            // `read` has checked that the scene has these images.
             let views = views.filter_map(|view| calibrated[view.image as usize]);
             let mut track = Vec::with_capacity(vertex.views.len());
             for image in views {
