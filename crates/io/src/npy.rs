@@ -127,7 +127,7 @@ impl Array<'_> {
             return Err((PREAMBLE, what));
         }
         let size = size_of::<T>();
-        // A forged shape may have more values than there are numbers.
+        // A forged shape may have more values than can be counted.
         let needed = self
             .shape
             .iter()

@@ -37,8 +37,7 @@ pub fn real(path: &Path) -> PathBuf {
         .components()
     {
         match part {
-            // What does not exist is no link, so `..` leads to the folder that is written before
-            // it.
+            // What does not exist is no link, so that `..` undoes the part before it.
             Component::ParentDir => _ = real.pop(),
             part => real.push(part),
         }

@@ -55,6 +55,7 @@ enum Scalar {
 
 impl Scalar {
     fn parse(word: &str) -> Option<Self> {
+        // The names of 1994, and those with sizes of later programs.
         Some(match word {
             "char" | "int8" => Self::I8,
             "uchar" | "uint8" => Self::U8,

@@ -190,6 +190,7 @@ impl Bundle<'_> {
         self.without_folder += usize::from(is_registered);
         let name = view.map(|view| view.image.clone());
         self.foreign.unregistered.extend(name);
+        // Observations count all cameras by their position.
         self.registered.push(None);
         Ok(())
     }

@@ -248,6 +248,7 @@ impl Reconstruction {
                 fault_in(problem, || format!("shot {name:?}"))
             };
             let &(camera_id, camera) = cameras.get(&shot.camera).ok_or_else(unknown)?;
+            // As bytes, so that the rows of tracks need not be text.
             placed.insert(name.as_bytes(), PlacedShot { image, camera });
             let id = image as u32 + 1;
             foreign.add_image(id, name.clone(), camera_id, shot.pose(), Place::File);
@@ -313,6 +314,7 @@ fn observations(
     points: &JsonMap<Point>,
 ) -> Result<Observations, Fault> {
     let mut of_points = vec![Vec::new(); points.len()];
+    // In the order of the map, in which `add_points` counts them.
     let point_of: HashMap<&[u8], usize> = points.keys().map(String::as_bytes).zip(0..).collect();
     for (n, line) in tracks.split(|&b| b == b'\n').enumerate() {
         let line = line.strip_suffix(b"\r").unwrap_or(line);
@@ -396,6 +398,7 @@ impl OpenSfmCamera {
             return Some((CameraModel::ThinPrismFisheye, params));
         }
         let mut params = [&pinhole[..], &[k1, k2, k3, k4, k5, k6]].concat();
+        // COLMAP's model has tangential and thin-prism terms, too.
         params.resize(16, 0.0);
         (p1 == 0.0 && p2 == 0.0).then_some((CameraModel::RadTanThinPrismFisheye, params))
     }

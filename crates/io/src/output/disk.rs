@@ -324,7 +324,7 @@ fn named_by_user(path: &Path) -> Result<(Folder, PathBuf), OutputError> {
 
 fn create_new(folder: &Folder, name: &str, executable: bool) -> io::Result<File> {
     let mut options = OpenOptions::new();
-    // Never into an existing file: it may be a link, or another name of the user's own.
+    // Never into an existing file: it may be a link, or have another name among the user's files.
     options.write(true).create_new(true);
     if executable {
         platform::make_executable(&mut options);

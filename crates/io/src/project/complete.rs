@@ -34,7 +34,6 @@ pub(super) fn completed<'a>(
     };
     match path.filter(|_| !points.is_empty()) {
         None => model.warnings.push(no_points(location)),
-        // An error, since a plan would take them for surface that no photograph shows.
         Some(path) if cloud::views_per_point(&model, &points) == 0.0 => {
             return Err(other_coordinates(&path, "no point projects into any image"));
         }

@@ -140,7 +140,7 @@ fn models(root: &Path) -> Result<Vec<ModelLocation>, ProjectError> {
     let found = models_in(root, &own, &folders_of_other_programs(root))
         .or(|| Ok(models_in(root, &sub_folders(root), &[])))?
         .or(|| models_below(root))?;
-    // A workspace's model is made from another: it must not hide that that one is incomplete.
+    // The model of a workspace must not hide that the one it was made from is incomplete.
     if found.incomplete.is_some() {
         return found.into_models();
     }

@@ -432,7 +432,7 @@ fn holding_most(folders: &[PathBuf], sought: &SoughtImages, search: &Names) -> O
     let mut best: (Held, Vec<&PathBuf>) = Default::default();
     for folder in folders {
         let held = Held::new(folder, &sought.names, search);
-        // Folders that hold nothing are equal to the beginning, and do not count.
+        // A folder that holds nothing equals the initial value, and is no rival.
         if held > best.0 {
             best = (held, vec![folder]);
         } else if held == best.0 && !best.1.is_empty() && !best.1.contains(&folder) {

@@ -311,6 +311,7 @@ pub(super) fn listed(root: &Path) -> Vec<ModelLocation> {
 
 fn folders_of_micmac(root: &Path, files: &[String]) -> impl Iterator<Item = PathBuf> {
     let named = files.iter().filter(|name| name.starts_with("Ori-"));
+    // The user may have named an `Ori-` folder itself.
     let folders = named.map(|name| root.join(name)).chain([root.into()]);
     folders.filter(|folder| !oriented_by_micmac(folder).is_empty())
 }
