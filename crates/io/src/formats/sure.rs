@@ -124,6 +124,7 @@ fn entries(bytes: &[u8]) -> Result<Entries<'_>, Fault> {
         end += line.len();
         let (at, line) = (Place::Line(n), line.trim_ascii());
         if let Some(head) = line.strip_prefix(b"$") {
+            // Other keys take no memory: a file may have millions.
             let key = known_key(head);
             if let Some(key) = key {
                 entries.insert(key, Entry { at, text: &[] });

@@ -102,6 +102,8 @@ impl<'a> Root<'a> {
             self.clear_staging();
             return Err(failure);
         }
+        // This may fail on Windows, where a file that another program holds open cannot be
+        // replaced.
         let done = self.finish(&journal.change).map_err(|failure| {
             // Written before the first file goes back: half an undone change cannot be completed.
             journal.direction = Direction::Undo;

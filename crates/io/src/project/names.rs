@@ -283,9 +283,12 @@ impl Listing {
     /// same time.
     fn only_image(&self, name: &str) -> Option<String> {
         let whole = folded(name);
+        // `a.v2` may be a whole name without its extension, which comes before `a` with another
+        // one.
         let by_stem = || [&whole, &folded(stem(name))].map(|stem| self.stems.get(stem));
         match self.images.get(&whole) {
             Some(Only::One(file)) => Some(file.clone()),
+            // Of two that differ in case alone, neither is the one that is meant.
             Some(Only::Several) => None,
             None => match by_stem().into_iter().flatten().next()? {
                 Only::One(file) => Some(file.clone()),

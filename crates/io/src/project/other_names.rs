@@ -105,12 +105,14 @@ fn file_key(name: &str) -> String {
 fn files_below(folder: &Path) -> HashMap<String, Fitting> {
     let mut files: HashMap<String, Fitting> = HashMap::new();
     let entries = WalkDir::new(folder)
+        // Images often are elsewhere, behind a link.
         .follow_links(true)
         // Sorted, since the first two of several files are named in messages.
         .sort_by_file_name()
         .into_iter()
         .filter_entry(|entry| entry.depth() == 0 || !is_skipped(entry))
         .take(MOST_ENTRIES)
+        // A link that leads back to a folder above is an error, behind which the walk goes on.
         .filter_map(Result::ok);
     for entry in entries.filter(|entry| entry.file_type().is_file() && is_image(entry.path())) {
         let Ok(path) = entry.path().strip_prefix(folder) else {
