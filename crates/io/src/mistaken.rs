@@ -120,7 +120,7 @@ pub fn json_without_frames(path: &Path, fault: &Fault) -> Option<Mistaken> {
     let Problem::Json(what) = &fault.problem else {
         return None;
     };
-    // In the words of `json::fault`.
+    // `json::fault` writes these words.
     if !what.contains("\"frames\" is missing") {
         return None;
     }

@@ -98,7 +98,7 @@ impl ScanLines {
     /// Reads the chunk at an offset of the file: its first row, its length, and its samples.
     fn read_chunk(&self, bytes: &[u8], at: usize, depth: &mut [f32]) -> Parsed<()> {
         let (width, height, sample) = (self.width as usize, self.height, self.sample);
-        // Rows are signed: the window may begin above 0.
+        // Rows are signed: the window may begin at a negative one.
         let row = i64::from(u32_at(bytes, at)? as i32) - i64::from(self.top);
         let rows = i64::from(height) - row;
         if row < 0 || rows < 1 {

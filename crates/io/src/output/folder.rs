@@ -202,7 +202,7 @@ impl Folder {
             .flatten()
             .filter(|found| !found.is_file());
         options.follow(FollowSymlinks::No);
-        // Where opening a pipe would block in any case, what is there is looked at before.
+        // Where nothing keeps an open from blocking, what is there is looked at first.
         if cfg!(unix) {
             options.nonblock(true);
         } else if let Some(found) = before {

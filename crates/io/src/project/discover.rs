@@ -300,7 +300,7 @@ fn colmap_model(folder: &Path) -> Result<Option<ModelLocation>, ProjectError> {
             return Err(link);
         }
     }
-    // One of the files may only be compressed.
+    // A missing file may be there in compressed form.
     if incomplete.is_some()
         && let Some(error) = foreign::packed(folder, foreign::is_of_colmap)
     {

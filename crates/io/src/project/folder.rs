@@ -195,7 +195,7 @@ impl ImageFolder {
         let spelled = take_names_of_files(model, Some(&self.path));
         self.others.get_or_init(|| {
             let names = model.images.iter().map(|image| &*image.name);
-            // An image that was given another name has its file under the name before.
+            // An image that was given another name has its file under its former one.
             let is_missing =
                 |name: &&str| spelled.contains_key(*name) || !self.path.join(name).exists();
             let (missing, there): (Vec<&str>, Vec<&str>) = names.partition(is_missing);

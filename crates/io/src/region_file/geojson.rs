@@ -376,7 +376,7 @@ fn crossing(ring: &[[f64; 2]], pairs: &mut usize) -> Option<[f64; 2]> {
     edges.sort_by(|a, b| a.0.total_cmp(&b.0));
     for (n, (_, end, one)) in edges.iter().enumerate() {
         for (_, _, other) in edges[n + 1..].iter().take_while(|other| other.0 <= *end) {
-            // Rings with more edges were drawn by a program, and pass unchecked.
+            // Files with more edges were made by a program, and pass unchecked.
             *pairs = pairs.checked_sub(1)?;
             let place = intersection(*one, *other, beyond);
             if place.is_some() {
