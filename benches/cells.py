@@ -4,12 +4,15 @@
     benches/cells.py PROJECT WORK_FOLDER --openmvs FOLDER [--image-scale 0.5] [--check] [--viewrank viewrank]
     benches/cells.py PROJECT WORK_FOLDER --matcher sgm
     benches/cells.py PROJECT WORK_FOLDER --matcher colmap --colmap PROGRAM [--maps WORKSPACE]
+    PATCHMATCHNET=FOLDER PYTHON=PROGRAM benches/cells.py PROJECT WORK_FOLDER --matcher patchmatchnet
 
 Matches all key views once, fuses all maps, and lets `viewrank evaluate` judge the orders (docs/method.md, section 8). Writes WORK_FOLDER/.../cells.tsv, which says which maps take part in which
 cells, and cells.json with the shares, from which benches/tables.py makes the tables of the documents. From then on `viewrank evaluate PROJECT --cells cells.tsv` judges any plan within seconds.
 
 With COLMAP, run.sh of the export matches and fuses, and its clouds are compared with those of COLMAP's default min_num_pixels, also with exact depth (as in benches/partners.py) where there is any.
 PROGRAM needs a card, or is benches/colmap_cpu.py, whose depths are those of another PatchMatch. With --maps, the photometric maps of all views are those of a workspace that COLMAP has matched, with whatever partners.
+
+PatchmatchNet is matched by `viewrank run`, and nothing is fused alone: its cells are those in which its maps agree.
 
 --check also fuses the first maps of two orders at 10 and 30 %, and compares their clouds with what the table says. Needs numpy, scipy and pycolmap; runs resume as those of
 benches/sizes.py, whose folder of maps this shares.
@@ -33,7 +36,9 @@ from sizes import Bench, OpenMvs, Reference, Sgm
 CHECKED = (0.1, 0.3)
 FINISHED = (0.1, 0.2, 0.3, 0.5)
 # Maps that the fusion wants.
-LEAST = {"openmvs": 2, "sgm": 1, "colmap": 2}
+LEAST = {"openmvs": 2, "sgm": 1, "colmap": 2, "patchmatchnet": 2}
+# Their maps alone are judged, without a cloud.
+UNFUSED = ("sgm", "patchmatchnet")
 # min_num_pixels of stereo_fusion: run.sh's, and COLMAP's default.
 PIXELS = (2, 5)
 
@@ -51,14 +56,14 @@ def main():
     parser.add_argument("--viewrank", default="viewrank")
     args = parser.parse_args()
     args.gsd = None
-    bench = {"openmvs": OpenMvs, "sgm": Sgm, "colmap": Colmap}[args.matcher](args)
+    bench = {"openmvs": OpenMvs, "sgm": Sgm, "colmap": Colmap, "patchmatchnet": PatchmatchNet}[args.matcher](args)
     shutil.rmtree(bench.project / "viewrank/cache", ignore_errors=True)
     before = processor_seconds()
     default = bench.plan()
     planning = processor_seconds() - before
     every = bench.plan("--budget", "100%", "--target", "100%")
     matching = bench.match(every, 1.0)
-    whole = None if args.matcher == "sgm" else bench.fuse(every, 1.0)
+    whole = None if args.matcher in UNFUSED else bench.fuse(every, 1.0)
     judged = judge(bench, whole is not None)
     shutil.copy(bench.project / "viewrank/evaluation/cells.tsv", bench.work)
     clusters = default["clusters"][: default["cut"]["clusters"]]
@@ -70,7 +75,7 @@ def main():
     plan = {"maps": len(clusters), "forecast": default["cut"]["share"], "covered": covered, "every n-th": spread}
     plan["seconds"] = {"planning": planning, "matching": len(clusters) * matching, "all": judged["maps"] * matching}
     result = {"set": args.project.resolve().name, "matcher": args.matcher, "image_scale": args.image_scale, "maps": len(every["clusters"]), "cells": judged, "default": plan}
-    result["so far"] = so_far(bench, every, judged)
+    result["so far"] = [] if args.matcher == "patchmatchnet" else so_far(bench, every, judged)
     if whole is not None:
         nth = every_nth(sorted(every["clusters"], key=lambda cluster: cluster["key"]), len(clusters))
         choices = [{**every, "clusters": of} for of in (nth, clusters)]
@@ -213,6 +218,15 @@ class Colmap(Bench):
         (workspace / "stereo/fusion.cfg").write_text("".join(f"{key}\n" for key in listed))
         self.start(workspace, self.fusion(pixels))
         return colmap_cuda.read_cloud(self.cloud())
+
+
+class PatchmatchNet(Bench):
+    """Matched in the project; a copy keeps the maps of all key views."""
+
+    def match_all(self, plan, scale):
+        command = [self.args.viewrank, "run", self.project, "--backend", "patchmatchnet", "--budget", "100%", "--target", "100%", "--quiet"]
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        shutil.copytree(self.project / "viewrank/patchmatchnet", self.maps(scale), symlinks=True)
 
 
 if __name__ == "__main__":

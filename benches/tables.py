@@ -25,6 +25,7 @@ SETS = {
     "kitchen": "hand-held frames, 7-Scenes",
     "office": "hand-held, a room, COLMAP's own maps",
 }
+MATCHERS = ("openmvs", "sgm", "colmap", "patchmatchnet")
 ORDERS = ("ours", "every n-th", "maxpts", "oracle")
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -35,13 +36,15 @@ def main():
     by_set = lambda name: {path.parent.name: json.loads(path.read_text()) for path in sorted(Path(sys.argv[1]).rglob(name))}
     found = [json.loads(path.read_text()) for path in sorted(Path(sys.argv[1]).rglob("cells.json"))]
     results = {(one["set"], one["matcher"]): one for one in found}
-    for matcher in ("openmvs", "sgm", "colmap"):
+    for matcher in MATCHERS:
         missing = [name for name in SETS if (name, matcher) not in results]
         if missing:
             print(f"{matcher}: no results of {', '.join(missing)}", file=sys.stderr)
-    openmvs, sgm, colmap = ([results[name, matcher] for name in SETS if (name, matcher) in results] for matcher in ("openmvs", "sgm", "colmap"))
-    tables = {"cells-openmvs": covered(openmvs), "cells-sgm": covered(sgm), "cells-colmap": covered(colmap), "check-openmvs": checked(openmvs)}
-    tables |= {"default-openmvs": default(openmvs), "default-sgm": default(sgm), "default-colmap": default(colmap)}
+    of_matcher = {matcher: [results[name, matcher] for name in SETS if (name, matcher) in results] for matcher in MATCHERS}
+    openmvs = of_matcher["openmvs"]
+    tables = {f"cells-{matcher}": covered(of) for matcher, of in of_matcher.items()}
+    tables |= {f"default-{matcher}": default(of) for matcher, of in of_matcher.items()}
+    tables["check-openmvs"] = checked(openmvs)
     trained = by_set("splats.json")
     tables["splats"] = splats(trained)
     timed = by_set("planning.json")
