@@ -396,7 +396,7 @@ impl<'a> Passes<'a> {
         if !self.geometric {
             files.add_text(run::RUN, to_json(&self.run(selection)));
         }
-        for folder in map_folders(self.main_list()) {
+        for folder in map_folders(self.first.iter().chain(&self.last)) {
             files.add(folder, Contents::Folder);
         }
     }
@@ -703,9 +703,8 @@ fn size_cap(selection: &Selection) -> u32 {
 
 /// Adds folders, which patch match does not create: one for each sub-folder of a name, under each
 /// kind of map.
-fn map_folders(problems: &[Problem]) -> Vec<String> {
+fn map_folders<'a>(problems: impl Iterator<Item = &'a Problem>) -> Vec<String> {
     let mut subfolders: Vec<String> = problems
-        .iter()
         .map(|p| {
             let path = as_path(&p.reference);
             let folder = path.rsplit_once('/');

@@ -119,7 +119,7 @@ fn lay_out_map(row: &Row, call: &Call, files: &mut FileSet) -> (&'static str, St
     }
     let problems = slice::from_ref(&row.problem);
     files.add_text(MAIN_LIST, cfg::write_patch_match(&[], problems));
-    for folder in map_folders(problems) {
+    for folder in map_folders(problems.iter()) {
         files.add(folder, Contents::Folder);
     }
     let size = row.max_image_size;

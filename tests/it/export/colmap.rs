@@ -226,6 +226,25 @@ fn colmap_min_consistent_before_drop() {
     );
 }
 
+/// COLMAP makes no folders.
+#[test]
+fn each_map_of_either_pass_has_a_folder() {
+    let mut fixture = Fixture::new(4);
+    // No partner of the last, in a sub-folder of its own, is a key view: it has no geometric map.
+    fixture.choose(&[12, 13, 49], 4);
+    for policy in policies() {
+        let files = fixture.export_with("colmap", &policy);
+        let is_list = |name: &&str| name.ends_with(".cfg") && *name != "stereo/fusion.cfg";
+        for list in files.names().into_iter().filter(is_list) {
+            for (reference, _) in problems(files.text(list)) {
+                let folder = reference.rsplit_once('/').unwrap().0;
+                let maps = format!("stereo/depth_maps/{folder}");
+                assert!(files.is_folder(&maps), "{maps} of {list}, {policy:?}");
+            }
+        }
+    }
+}
+
 #[test]
 fn batches_leave_whole_results() {
     let mut fixture = Fixture::new(3);
