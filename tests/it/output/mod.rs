@@ -227,6 +227,31 @@ fn links_scripts_copies_and_folders() {
     );
 }
 
+#[cfg(unix)]
+#[test]
+fn links_below_a_linked_folder_lead_to_the_images() {
+    let folder = empty_folder();
+    let (root, images) = (folder.path(), folder.path().join("images"));
+    fs::create_dir_all(root.join("data/deep/outputs")).unwrap();
+    std::os::unix::fs::symlink("data/deep/outputs", root.join("viewrank")).unwrap();
+    fs::create_dir(&images).unwrap();
+    fs::write(images.join("1.jpg"), "picture").unwrap();
+    let mut set = FileSet::new(root, "test");
+    let file = images.join("1.jpg");
+    let link = "viewrank/out/1.jpg";
+    set.add(
+        link,
+        Contents::Link {
+            file,
+            folder: images,
+        },
+    );
+    for _ in 0..2 {
+        set.write(&Disk::REAL).unwrap();
+        assert_eq!(fs::read_to_string(root.join(link)).unwrap(), "picture");
+    }
+}
+
 #[test]
 fn where_links_cannot_be_made_only_files_of_the_folder_are_copied() {
     use std::os::unix::fs::symlink;

@@ -398,7 +398,8 @@ impl Staging<'_> {
     }
 
     /// Target of a link: relative if both ends are below the root, so the project can be moved;
-    /// otherwise absolute.
+    /// otherwise absolute, also where a folder on the way to the link is itself a link, whose `..`
+    /// lead elsewhere.
     fn link_target(&self, to: &Path, path: &str) -> PathBuf {
         let absolute = paths::absolute(to);
         let real = match (
@@ -411,11 +412,13 @@ impl Staging<'_> {
             _ => absolute,
         };
         let root = dunce::canonicalize(self.folder.path("")).unwrap_or_default();
-        let Ok(to) = real.strip_prefix(root) else {
-            return real;
-        };
-        let up = path.matches('/').count();
-        (0..up).map(|_| Path::new("..")).chain([to]).collect()
+        match real.strip_prefix(&root) {
+            Ok(to) if !self.folder.has_links(path) => {
+                let up = path.matches('/').count();
+                (0..up).map(|_| Path::new("..")).chain([to]).collect()
+            }
+            _ => real,
+        }
     }
 }
 
