@@ -57,9 +57,10 @@ impl SizeData {
         let ranking = &plan.decision.ranking;
         ranking.scales.contains(&MapScale::Half).then(|| {
             let (mut of_full, mut work, mut sum) = (Vec::new(), Vec::new(), 0.0);
+            let share_of = plan.stages.shares_of_work();
             for (&cluster, &scale) in ranking.order.iter().zip(&ranking.scales) {
-                let own = plan.stages.share_of_work(cluster, scale);
-                of_full.push(own / plan.stages.share_of_work(cluster, MapScale::Full));
+                let own = share_of(cluster, scale);
+                of_full.push(own / share_of(cluster, MapScale::Full));
                 sum += own;
                 work.push(sum);
             }

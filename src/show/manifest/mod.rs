@@ -345,14 +345,13 @@ fn clusters(plan: &Plan) -> Vec<ClusterEntry> {
             .map(|&partner| name(partner))
             .collect()
     };
+    let share_of = plan.stages.shares_of_work();
     let mut work = 0.0;
     // Adds up, so the entries are made in the order of the ranking.
     let mut work_to = |i: usize| {
         if plan.stages.makes_maps {
-            work += plan.stages.share_of_work(
-                plan.decision.ranking.order[i],
-                plan.decision.ranking.scales[i],
-            );
+            let ranking = &plan.decision.ranking;
+            work += share_of(ranking.order[i], ranking.scales[i]);
         }
         work
     };

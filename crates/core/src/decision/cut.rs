@@ -152,7 +152,8 @@ fn length_for_budget(budget: Budget, cost: &Cost, most: usize) -> Result<usize, 
     match budget {
         // If maps differ in work, a share of the views is a share of the work.
         Budget::Views(share) if cost.options.has_half => {
-            longest_within(most, share.0, |rank| Ok(cost.work(rank)))
+            let works: Vec<f64> = cost.works().collect();
+            longest_within(most, share.0, |rank| Ok(works[rank]))
         }
         // Of all views, some of which may lack an image or partners; of images, those that can be
         // chosen.

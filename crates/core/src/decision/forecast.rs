@@ -150,10 +150,11 @@ impl<'a> Cost<'a> {
         self.options.forecast.knows_times().then_some(seconds)
     }
 
-    /// Work of a map over that of all clusters at full size, finished or not.
-    pub fn work(&self, rank: usize) -> f64 {
-        self.tables
-            .share_of_work(self.ranking.order[rank], self.ranking.scales[rank])
+    /// Work of each map in the ranking over that of all clusters at full size, finished or not.
+    pub fn works(&self) -> impl Iterator<Item = f64> {
+        let share_of = self.tables.shares_of_work();
+        let maps = self.ranking.order.iter().zip(&self.ranking.scales);
+        maps.map(move |(&cluster, &scale)| share_of(cluster, scale))
     }
 
     /// Pixels that the depth map will measure.
@@ -202,7 +203,7 @@ pub fn forecast(cost: &Cost, clusters: usize) -> Forecast {
         pairs,
         points: points.iter().sum::<f64>().round() as u64,
         seconds: (0..clusters).map(|rank| cost.seconds(rank)).sum(),
-        work: (0..clusters).map(|rank| cost.work(rank)).sum(),
+        work: cost.works().take(clusters).sum(),
         maps_at_half: cost.maps_at_half(clusters),
         all_maps: clusters_of_all.len(),
         all_pairs,

@@ -273,7 +273,7 @@ impl Merited {
         let settings = options.cut;
         let cost = Cost::new(tables, options, &ranking, &[], finished);
         let cut = cut::cut(settings, &cost)?;
-        let work: f64 = (0..cut.clusters).map(|rank| cost.work(rank)).sum();
+        let work: f64 = cost.works().take(cut.clusters).sum();
         let most = settings
             .target
             .map_or(0.0, |target| target.0 * ranking.reachable);
@@ -286,7 +286,7 @@ impl Merited {
         })
     }
 
-    /// Returns the better of two, the first of equals, which has the lower price.
+    /// Returns the better of two, the first of equals.
     fn or_better(self, next: Self) -> Self {
         if next.merit > self.merit { next } else { self }
     }

@@ -83,10 +83,12 @@ impl Tables {
         }
     }
 
-    /// Returns the work of a cluster's map over that of all clusters at full size.
-    pub fn share_of_work(&self, cluster: u32, scale: MapScale) -> f64 {
+    /// Returns the work of a cluster's map, for any cluster, over that of all at full size.
+    pub fn shares_of_work(&self) -> impl Fn(u32, MapScale) -> f64 {
         let all: f64 = self.work.iter().map(|[full, _]| full).sum();
-        self.work[cluster as usize][usize::from(scale == MapScale::Half)] / all
+        move |cluster, scale| {
+            self.work[cluster as usize][usize::from(scale == MapScale::Half)] / all
+        }
     }
 
     /// Approximate memory of the tables, surface and scene, bytes.
