@@ -117,7 +117,7 @@ pub fn text_as_binary(path: &Path) -> Option<Mistaken> {
 
 /// JSON of another kind in a `transforms.json`, by the fault of reading it.
 pub fn json_without_frames(path: &Path, fault: &Fault) -> Option<Mistaken> {
-    let Problem::Json(what) = &fault.problem else {
+    let Problem::Content(what) = &fault.problem else {
         return None;
     };
     // `json::fault` writes these words.

@@ -409,13 +409,9 @@ impl Body<'_> {
     }
 
     fn skip_element(&mut self, element: &Element) -> Result<(), PlyError> {
-        // Without properties it has no bytes, and any count fits.
-        let count = if element.properties.is_empty() {
-            0
-        } else {
-            element.count
-        };
-        (0..count).try_for_each(|_| element.properties.iter().try_for_each(|p| self.skip(p)))
+        // Ends soon even where an element has no properties: `check_room` allows it few of them.
+        (0..element.count)
+            .try_for_each(|_| element.properties.iter().try_for_each(|p| self.skip(p)))
     }
 
     fn skip(&mut self, property: &Property) -> Result<(), PlyError> {

@@ -396,7 +396,7 @@ pub(super) fn json<'a, T: serde::Deserialize<'a>>(bytes: &'a [u8]) -> Result<T, 
                 hint: SPLIT,
             }
         } else {
-            Problem::Json(crate::json::fault(&error, bytes))
+            Problem::Content(crate::json::fault(&error, bytes))
         };
         problem.at(place)
     })
@@ -419,7 +419,7 @@ pub(super) fn json_object<'a, T: serde::Deserialize<'a>>(
     // What is no JSON at all has a fault of its own.
     json::<serde::de::IgnoredAny>(bytes)?;
     let what = format!("{found}, where {expected} is expected");
-    Err(Problem::Json(what).at(Place::File))
+    Err(Problem::Content(what).at(Place::File))
 }
 
 #[cfg(test)]

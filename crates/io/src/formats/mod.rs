@@ -117,7 +117,8 @@ pub enum Problem {
         found: String,
     },
     #[error("{0}")]
-    Json(String),
+    /// What is wrong in JSON, XML or PLY.
+    Content(String),
     #[error("unknown camera model {0}")]
     CameraModel(String),
     #[error(transparent)]
@@ -173,7 +174,7 @@ impl Problem {
             Self::Truncated(_) | Self::Count { .. } => {
                 "copy or export the file again: it is incomplete or damaged"
             }
-            Self::Syntax { .. } | Self::Json(_) => {
+            Self::Syntax { .. } | Self::Content(_) => {
                 "export the model again, or correct the line by hand"
             }
             Self::CameraModel(_) => {

@@ -212,5 +212,5 @@ impl Intrinsic {
 /// The distortion parameters of a kind.
 fn distortion<const N: usize>(kind: &str, list: &Option<Vec<f64>>) -> Result<[f64; N], Problem> {
     let list = list.as_deref().and_then(|list| list.try_into().ok());
-    list.ok_or_else(|| Problem::Json(format!("{kind} without its {N} distortion parameters")))
+    list.ok_or_else(|| Problem::Content(format!("{kind} without its {N} distortion parameters")))
 }

@@ -244,7 +244,7 @@ impl Reconstruction {
         let mut placed = HashMap::new();
         for (image, (name, shot)) in self.shots.iter().enumerate() {
             let unknown = || {
-                let problem = Problem::Json(format!("unknown camera {:?}", shot.camera));
+                let problem = Problem::Content(format!("unknown camera {:?}", shot.camera));
                 fault_in(problem, || format!("shot {name:?}"))
             };
             let &(camera_id, camera) = cameras.get(&shot.camera).ok_or_else(unknown)?;

@@ -53,7 +53,7 @@ fn image_id<'a>(entries: &Entries<'a>) -> Result<&'a str, Fault> {
     let line = text.unwrap_or_default().split(|&b| b == b'\n').next();
     let line = line.unwrap_or_default().trim_ascii();
     std::str::from_utf8(line).map_err(|_| {
-        let problem = Problem::Json("the image id is not UTF-8".into());
+        let problem = Problem::Content("the image id is not UTF-8".into());
         problem.at(Place::File)
     })
 }

@@ -183,7 +183,7 @@ impl Frame {
     fn pose(&self) -> Result<StoredPose, Problem> {
         let rows = &self.transform_matrix[..];
         let [a, b, c, ..] = rows else {
-            return Err(Problem::Json(format!(
+            return Err(Problem::Content(format!(
                 "a transform_matrix of {} rows, expected 4",
                 rows.len()
             )));
@@ -265,7 +265,7 @@ impl Lens {
         }
         let (fx, fy) = self
             .focal_lengths([w, h])
-            .ok_or_else(|| Problem::Json("neither fl_x nor camera_angle_x".into()))?;
+            .ok_or_else(|| Problem::Content("neither fl_x nor camera_angle_x".into()))?;
         let (cx, cy) = (self.cx.unwrap_or(w / 2.0), self.cy.unwrap_or(h / 2.0));
         self.distorted(kind, [fx, fy, cx, cy])
             .ok_or_else(|| Problem::CameraModel(format!("{kind} (transforms.json)")))

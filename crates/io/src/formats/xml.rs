@@ -169,7 +169,7 @@ impl<'a> Xml<'a> {
                         || format!("a record of more than {MOST_PARTS} elements and attributes");
                     *room = room
                         .checked_sub(1 + child.attributes.len())
-                        .ok_or_else(|| Problem::Json(full()).at(child.at))?;
+                        .ok_or_else(|| Problem::Content(full()).at(child.at))?;
                     // The recursion ends: `open` refuses elements that are nested too deeply.
                     let child = self.fill(child, room)?;
                     element.children.push(child);
@@ -212,7 +212,7 @@ impl<'a> Xml<'a> {
             return Ok(());
         }
         let deeper = format!("elements are nested deeper than {DEEPEST}");
-        Err(Problem::Json(deeper).at(at))
+        Err(Problem::Content(deeper).at(at))
     }
 
     fn start(&mut self, start: &BytesStart, at: Place) -> Result<Element, Fault> {
@@ -224,7 +224,7 @@ impl<'a> Xml<'a> {
         for attribute in all {
             if attributes.len() == MOST_ATTRIBUTES {
                 return Err(
-                    Problem::Json(format!("more than {MOST_ATTRIBUTES} attributes")).at(at),
+                    Problem::Content(format!("more than {MOST_ATTRIBUTES} attributes")).at(at),
                 );
             }
             let attribute = attribute.map_err(|error| broken(at, &error))?;
@@ -263,10 +263,10 @@ fn character_of(name: &BytesRef, at: Place) -> Result<String, Fault> {
     let text = by_number.or_else(|| resolve_predefined_entity(name).map(String::from));
     text.ok_or_else(|| {
         let unknown = format!("an entity that is no character: &{};", &**name);
-        Problem::Json(unknown).at(at)
+        Problem::Content(unknown).at(at)
     })
 }
 
 fn broken(at: Place, error: &dyn std::error::Error) -> Fault {
-    Problem::Json(format!("not well-formed XML: {error}")).at(at)
+    Problem::Content(format!("not well-formed XML: {error}")).at(at)
 }

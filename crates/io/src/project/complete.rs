@@ -133,7 +133,7 @@ const NAMED: usize = 3;
 /// The vertices of a PLY file.
 pub(super) fn vertices(path: &Path) -> Result<Vec<Point3<f64>>, ProjectError> {
     let cloud = ply::read(&files::read(path)?)
-        .map_err(|error| Problem::Json(error.to_string()).at(Place::File))
+        .map_err(|error| Problem::Content(error.to_string()).at(Place::File))
         .map_err(ProjectError::fault(path))?;
     Ok(cloud.vertices)
 }

@@ -13,7 +13,7 @@ use viewrank_core::{
 use super::{ImageFolder, Project, ProjectError};
 use crate::{
     formats::{colmap::ColmapModel, colmap_bin},
-    output::{Contents, Disk, FileSet, OutputError},
+    output::{self, Contents, Disk, FileSet, OutputError},
     paths,
 };
 
@@ -96,9 +96,7 @@ fn model_files(folder: &Path, scene: &Scene, images: Option<&Path>) -> FileSet {
 /// Returns whether all files of a model have their contents already.
 fn are_there(model: &FileSet) -> bool {
     model.files.iter().all(|(name, contents)| match contents {
-        Contents::Bytes(bytes) => {
-            fs::read(model.root.join(name)).is_ok_and(|there| there == *bytes)
-        }
+        Contents::Bytes(bytes) => output::is_own(&model.root, name, bytes).unwrap_or(false),
         _ => false,
     })
 }

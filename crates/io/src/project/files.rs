@@ -150,16 +150,21 @@ const SEARCHED: u64 = 16 << 20;
 
 fn names_in_text(file: BufReader<File>) -> Vec<String> {
     // Up to the first error: a reader that fails again and again would give lines without end.
-    let lines = file
+    let mut lines = file
         .take(SEARCHED)
         .lines()
         .map_while(Result::ok)
         .map(|line| line.trim_start_matches('\u{feff}').to_owned())
         .filter(|line| !line.starts_with('#'));
-    // Each second line is a list of 2D points and may be empty, so empty lines count.
-    let heads = lines.step_by(2).take(PROBED);
+    let heads = std::iter::from_fn(|| {
+        let head = lines.find(|line| !line.trim().is_empty())?;
+        // The line after it is a list of 2D points, which may be empty.
+        lines.next();
+        Some(head)
+    });
     // ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME; names may have blanks.
     heads
+        .take(PROBED)
         .filter_map(|line| {
             line.trim()
                 .splitn(10, ' ')

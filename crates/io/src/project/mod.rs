@@ -605,7 +605,8 @@ impl Project {
                     .chain(beyond)
                     .for_each(|folders| *shared.entry(folders).or_default() += 1);
             }
-            2 * shared.into_values().max().unwrap_or(0) >= names.len()
+            let shared = shared.into_values().max().unwrap_or(0);
+            shared > 0 && 2 * shared >= names.len()
         };
         self.other_models.iter().filter(is_copy).collect()
     }

@@ -64,7 +64,7 @@ impl Intrinsic {
             Some(OneOrTwo::Two(list)) => return list.numbers("pxFocalLength"),
             None => {}
         }
-        let missing = || Problem::Json("focalLength is missing".into());
+        let missing = || Problem::Content("focalLength is missing".into());
         let pixels_per_mm = self.width.0 as f64 / self.sensor_width.map_or(36.0, |w| w.0);
         let f = self.focal_length.ok_or_else(missing)?.0 * pixels_per_mm;
         let ratio = self.pixel_ratio.map_or(1.0, |r| r.0);

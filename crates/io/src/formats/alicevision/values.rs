@@ -101,7 +101,7 @@ impl<'de, T: Deserialize<'de>, const MOST: usize> Visitor<'de> for Elements<T, M
 impl List<Number<f64>> {
     pub fn numbers<const N: usize>(&self, what: &'static str) -> Result<[f64; N], Problem> {
         let wrong = || {
-            Problem::Json(format!(
+            Problem::Content(format!(
                 "{what} has {} numbers instead of {N}",
                 self.0.len()
             ))
