@@ -10,7 +10,7 @@ use crate::{
 use clap::Args;
 use serde::Serialize;
 
-use super::{Failure, Format, print, print_json};
+use super::{Failure, Format, print, print_json, wrapped};
 
 /// List the supported MVS programs, what each honours and its planning numbers.
 #[derive(Args)]
@@ -135,7 +135,7 @@ fn row(cells: [String; 8]) -> String {
 fn details(entry: &Entry) -> Vec<String> {
     let (c, p) = (&entry.capabilities, &entry.planning);
     let mut lines = vec![entry.name.to_owned()];
-    let mut add = |what: &str, value: &str| lines.extend(wrapped(what, value));
+    let mut add = |what: &str, value: &str| lines.extend(labelled(what, value));
     add("exactly the given partners", word(c.partners));
     add("only the key views", word(c.key_subset));
     add("rank order", word(c.order));
@@ -202,23 +202,9 @@ fn confidence(of_pairs: &PairConfidence) -> String {
     )
 }
 
-/// Formats a value, wrapped at 80 columns and indented under its start.
-fn wrapped(what: &str, value: &str) -> Vec<String> {
-    const LABEL: usize = 30;
-    let (mut lines, mut line) = (Vec::new(), format!("  {what:<28}"));
-    let mut column = LABEL;
-    for (i, word) in value.split_whitespace().enumerate() {
-        let length = word.chars().count() + usize::from(i > 0);
-        if column + length > 80 && column > LABEL {
-            lines.push(std::mem::replace(&mut line, " ".repeat(LABEL) + word));
-            column = LABEL + length - 1;
-        } else {
-            line += &format!("{}{word}", if i > 0 { " " } else { "" });
-            column += length;
-        }
-    }
-    lines.push(line);
-    lines
+/// Formats a value, wrapped and indented under its start.
+fn labelled(what: &str, value: &str) -> Vec<String> {
+    wrapped(&format!("  {what:<28}"), value)
 }
 
 #[cfg(test)]
@@ -253,7 +239,7 @@ mod tests {
     #[test]
     fn wrapping_loses_no_word() {
         let value = "one two ".repeat(40);
-        let words: Vec<String> = wrapped("what", &value)
+        let words: Vec<String> = labelled("what", &value)
             .join("\n")
             .split_whitespace()
             .map(String::from)

@@ -380,15 +380,9 @@ pub fn kept_backends(
     settings: &Settings,
 ) -> Result<Option<Vec<&'static Backend>>, Failure> {
     let (backend, choice) = backends::chosen(project, settings)?;
-    let Ok(planned) = backends::by_names(&planned_backends(project)) else {
+    let Ok(kept) = backends::by_names(&planned_backends(project)) else {
         return Ok(None);
     };
-    let mut kept: Vec<&'static Backend> = Vec::new();
-    for planned in planned {
-        if !kept.iter().any(|known| known.name == planned.name) {
-            kept.push(planned);
-        }
-    }
     let is_other = kept.iter().any(|planned| planned.name != backend.name);
     Ok((is_other && choice != Choice::Named).then_some(kept))
 }

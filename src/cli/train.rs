@@ -251,15 +251,10 @@ fn text(arguments: &Arguments, fitted: &Fitted, settings: &str) -> Vec<String> {
         scores("numbers of the backend", &fitted.before),
         scores(left_out, &fitted.after),
     ];
-    let (settings_of, project) = match &arguments.out {
-        Some(out) => (
-            format!("{}, for the top of viewrank.toml:", out.display()),
-            &arguments.projects[0],
-        ),
-        None => (
-            "For the top of viewrank.toml:".into(),
-            &arguments.projects[0],
-        ),
+    let project = &arguments.projects[0];
+    let settings_of = match &arguments.out {
+        Some(out) => format!("{}, for the top of viewrank.toml:", out.display()),
+        None => "For the top of viewrank.toml:".into(),
     };
     let what = format!(
         "{} triangles of {} depth maps. How well they are predicted by",

@@ -19,11 +19,12 @@ use clap::{Args, builder::PossibleValue};
 
 use super::{
     Failure,
+    arguments::number,
     log::{self, LogFormat},
     warn,
 };
 
-/// Default interval between scans of all projects.
+/// Least interval between scans of all projects.
 const SHORTEST_PAUSE: Duration = Duration::from_millis(10);
 /// Upper limit of every time on the command line.
 const LONGEST: Duration = Duration::from_secs(365 * 24 * 3600);
@@ -155,10 +156,7 @@ impl Arguments {
     /// Command-line options as settings, checked before anything is watched.
     fn typed(&self) -> Result<CommandLineSettings, Failure> {
         let mut typed = CommandLineSettings::default();
-        let k = self.k.as_ref().map(|k| {
-            k.parse()
-                .map_or_else(|_| toml::Value::from(k.as_str()), toml::Value::Integer)
-        });
+        let k = self.k.as_deref().map(number);
         typed.set("--backend", "backends", self.backend.clone());
         typed.set("-k", "partners.k", k);
         typed.set("--target", "cut.target", self.target.clone());

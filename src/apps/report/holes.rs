@@ -220,7 +220,7 @@ fn hole(plan: &Plan, region: Vec<u32>) -> Hole {
     let mut by_reason = BTreeMap::new();
     let mut area = 0.0;
     for &t in &region {
-        let own = plan.stages.surface.area(t);
+        let own = plan.area_inside(t);
         area += own;
         plan.decision.triangle_reasons[t as usize]
             .iter()

@@ -68,7 +68,9 @@ impl Target {
     /// of a view at t being the depth of the centroid over the mean focal length (the distance
     /// where a camera has no depth: equirectangular), in pixels of the matched image.
     pub fn new(shown: &Shown, settings: &TargetSettings, gsd: f64, image_scale: f64) -> Self {
-        let mode = settings.mode.in_force(settings.gsd.is_some());
+        let mode = settings
+            .mode
+            .in_force(settings.gsd.or(settings.accuracy).is_some());
         let accuracy_over_gsd = settings.accuracy.map_or(1.0, |accuracy| accuracy / gsd);
         let wanted = |&finest: &f32| {
             // The margin leaves room for views from a little farther away.

@@ -375,7 +375,6 @@ impl ViewPoints {
         let other = self.observed_by(b);
         let mut shared: Vec<PointIndex> = self.observed_by(a).to_vec();
         shared.retain(|point| other.binary_search(point).is_ok());
-        shared.dedup();
         shared
     }
 }

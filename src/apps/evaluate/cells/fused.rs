@@ -204,8 +204,11 @@ impl FusedPoints for FusedCloud {
             if maps.len() >= self.support && point.coords.iter().all(|x| x.is_finite()) {
                 part.push(point, maps.iter().copied());
             }
-            if part.points.len() == AT_ONCE && taken.is_ok() {
-                taken = take(&part);
+            if part.points.len() == AT_ONCE {
+                if taken.is_ok() {
+                    taken = take(&part);
+                }
+                // After an error, too: the reader goes on to the end of the file.
                 part.clear();
             }
         };

@@ -4,7 +4,10 @@ use nalgebra::Point3;
 use rayon::prelude::*;
 
 use super::sweep::PilotMap;
-use crate::model::{cluster::ViewCluster, scene::ViewIndex};
+use crate::{
+    base::progress::{Cancelled, Watcher},
+    model::{cluster::ViewCluster, scene::ViewIndex},
+};
 
 /// Relative difference of two depths that agree; with more, clutter confirms itself.
 const AGREE_WITHIN: f64 = 0.015;
@@ -51,7 +54,11 @@ impl PilotMap {
 
 /// Makes the depths negative that no map of a partner confirms, or that are alone. `maps`: one per
 /// cluster, in the order of their key views.
-pub fn confirm(clusters: &[ViewCluster], maps: &mut [Option<PilotMap>]) {
+pub fn confirm(
+    clusters: &[ViewCluster],
+    maps: &mut [Option<PilotMap>],
+    watcher: &dyn Watcher,
+) -> Result<(), Cancelled> {
     let map_of = |view: &ViewIndex| {
         let place = clusters
             .binary_search_by_key(view, |cluster| cluster.key)
@@ -59,16 +66,17 @@ pub fn confirm(clusters: &[ViewCluster], maps: &mut [Option<PilotMap>]) {
         maps[place].as_ref()
     };
     let of_map = |(cluster, map): (&ViewCluster, &Option<PilotMap>)| {
-        let map = map.as_ref()?;
+        watcher.check()?;
+        let Some(map) = map else { return Ok(None) };
         let others: Vec<&PilotMap> = cluster.partners.iter().filter_map(map_of).collect();
         let mut is_confirmed = vec![false; map.inverse.len()];
         for (pixel, place) in map.places() {
             is_confirmed[pixel] = others.iter().any(|other| other.agrees(&place));
         }
-        Some(without_specks(map, &is_confirmed))
+        Ok(Some(without_specks(map, &is_confirmed)))
     };
     let jobs = clusters.par_iter().zip(&*maps);
-    let confirmed: Vec<Option<Vec<bool>>> = jobs.map(of_map).collect();
+    let confirmed: Vec<Option<Vec<bool>>> = jobs.map(of_map).collect::<Result<_, Cancelled>>()?;
     // All maps are judged before any is changed: none may lose a depth because another has lost its
     // own.
     let jobs = maps.par_iter_mut().zip(confirmed);
@@ -78,6 +86,7 @@ pub fn confirm(clusters: &[ViewCluster], maps: &mut [Option<PilotMap>]) {
             *inverse = if is_confirmed { *inverse } else { -*inverse };
         }
     });
+    Ok(())
 }
 
 /// Takes all depths for confirmed ones.

@@ -68,7 +68,7 @@ pub fn maps(
     watcher.check()?;
     // No longer needed.
     drop(thumbnails);
-    confirm::confirm(clusters, &mut maps);
+    confirm::confirm(clusters, &mut maps, watcher)?;
     Ok(maps)
 }
 

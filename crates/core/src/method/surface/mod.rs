@@ -3,7 +3,7 @@
 //! `delaunay` tetrahedralises the points, `carve` casts rays from cameras to points through the
 //! cells, `cut` separates inside from outside, `clean` keeps the visible part as an oriented
 //! manifold, `simplify` and `refine` adjust the edge lengths to the target; `terrain` is the 2.5D
-//! variant for nadir flights, `ply` reads and writes meshes.
+//! variant for nadir flights.
 
 pub mod carve;
 pub mod clean;
