@@ -52,8 +52,7 @@ class Daemon:
     def remove(self, folder):
         """Removes a folder in which the daemon may write a file between the listing and the removal."""
         folder = self.root / folder
-        while folder.exists():
-            shutil.rmtree(folder, ignore_errors=True)
+        self.wait(lambda: shutil.rmtree(folder, ignore_errors=True) or not folder.exists(), "the folder to be removed")
 
     def said(self, project, word):
         """Returns how often the log has this word for the project."""

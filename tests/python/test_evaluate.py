@@ -23,9 +23,9 @@ def matched(tmp_path_factory, viewrank, fixtures):
     folder = tmp_path_factory.mktemp("evaluate")
     project = folder / "valley"
     shutil.copytree(fixtures / "valley", project)
-    (project / "viewrank.toml").write_text("image_scale = 0.5\n")
+    (project / "viewrank.toml").write_text("image_scale = 0.3\n")
     viewrank("plan", project, "--backend", "sgm", "--quiet")
-    match = [sys.executable, SGM, "match", project, "--cache", folder / "pairs", "--image-scale", "0.5"]
+    match = [sys.executable, SGM, "match", project, "--cache", folder / "pairs", "--image-scale", "0.3"]
     clusters = (project / "viewrank/clusters.txt").read_text().splitlines()[:12]
     (folder / "clusters.txt").write_text("\n".join(clusters) + "\n")
     subprocess.run([*match, "--out", folder / "maps", "--clusters", folder / "clusters.txt"], check=True)

@@ -145,7 +145,7 @@ def test_maps_of_another_size_are_made_again(run, valley):
     cloud = "the cloud so far, updated from time to time: "
     assert err.count(cloud) == 1 and err.index(cloud) < err.index("6 of 6"), "before the last map"
     small = {path: path.read_bytes() for path in (valley / "sgm/depth_maps").glob("*.npy")}
-    (valley / "viewrank.toml").write_text("image_scale = 0.35\n")
+    (valley / "viewrank.toml").write_text("image_scale = 0.2\n")
     out, err = run(*sgm, "6")
     assert "Computing 6 of 28 depth maps (--budget 6)" in out, "none of them is there already"
     assert re.search(r"\d+ depth maps that are there do not count for this plan: made again", err)
