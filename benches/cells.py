@@ -12,7 +12,7 @@ cells, and cells.json with the shares, from which benches/tables.py makes the ta
 With COLMAP, run.sh of the export matches and fuses, and its clouds are compared with those of COLMAP's default min_num_pixels, also with exact depth (as in benches/partners.py) where there is any.
 PROGRAM needs a card, or is benches/colmap_cpu.py, whose depths are those of another PatchMatch. With --maps, the photometric maps of all views are those of a workspace that COLMAP has matched, with whatever partners.
 
-PatchmatchNet is matched by `viewrank run`, and nothing is fused alone: its cells are those in which its maps agree.
+PatchmatchNet is matched by `viewrank run`; no cloud is judged: its cells are those in which its maps agree.
 
 --check also fuses the first maps of two orders at 10 and 30 %, and compares their clouds with what the table says. Needs numpy, scipy and pycolmap; runs resume as those of
 benches/sizes.py, whose folder of maps this shares.
@@ -221,12 +221,13 @@ class Colmap(Bench):
 
 
 class PatchmatchNet(Bench):
-    """Matched in the project; a copy keeps the maps of all key views."""
+    """Matched in the project, which keeps none of the maps: plans with maps that are there are others."""
 
     def match_all(self, plan, scale):
         command = [self.args.viewrank, "run", self.project, "--backend", "patchmatchnet", "--budget", "100%", "--target", "100%", "--quiet"]
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-        shutil.copytree(self.project / "viewrank/patchmatchnet", self.maps(scale), symlinks=True)
+        shutil.move(self.project / "viewrank/patchmatchnet", self.maps(scale))
+        self.plan("--budget", "100%", "--target", "100%")
 
 
 if __name__ == "__main__":

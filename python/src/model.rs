@@ -59,7 +59,7 @@ impl Model {
     ) -> PyResult<Self> {
         runner.run(py, |_| {
             let project = Project::open(&project, model.as_deref())?;
-            // The model outlives the current folder of the process, which Python may change.
+            // Absolute, because Python may change the current folder while the model lives.
             let images = images.map(|images| std::path::absolute(&images).unwrap_or(images));
             Self::of(project.with_images(images.as_deref()), None)
         })

@@ -18,7 +18,7 @@ impl ClusterScript {
     pub fn new(results: &[String], preparation: &str) -> Self {
         let head = strangers::with_refusal(HEAD);
         Self(format!(
-            // Names of results have hashes, ids and underscores only, so the quotes are safe.
+            // Names of results are made of hashes, ids, `_` and `-`, so the quotes are safe.
             "{head}results='{}'\n{preparation}",
             results.join(" ")
         ))
@@ -56,7 +56,7 @@ pub fn map_script<'a>(
     maps: impl Iterator<Item = (&'a str, &'a str, String, String)>,
     joining: &str,
 ) -> String {
-    // Nothing needs quotes: marks are hashes, paths and options consist of ids and ranks.
+    // Nothing needs quotes: marks are hashes; paths and options are fixed words and numbers.
     let line = |(key, id, map, words)| format!("map {} {id} {map} {words}\n", task_marker(key));
     let maps: String = maps.map(line).collect();
     strangers::with_refusal(include_str!("../../integrations/run_maps.sh"))
@@ -112,8 +112,8 @@ pub fn recipe(selection: &Selection, cluster: &RankedCluster, options: &str) -> 
         ]
         .concat();
         text += &format!(
-            // `{:?}` of an f64 gives the digits that lead back to it, so that any other pose
-            // counts.
+            // Each f64 is written so that it reads back exactly: any change of the pose changes the
+            // hash.
             "\n{} {} {} {numbers:?}",
             selection.scene.name(view),
             camera.width,

@@ -157,7 +157,8 @@ impl Backend {
         tasks: None,
         known_maps: |_| Box::new(|_| true),
         traps: |_| Vec::new(),
-        // Every row has its own; the tests that export for all backends would find one without.
+        // Every backend replaces it: the tests that export for all of them would find one that does
+        // not.
         export: |_, _| {
             Err(BackendError::Needs {
                 backend: "",

@@ -153,7 +153,7 @@ fn observed_together(
         let exported: Vec<usize> = track
             .iter()
             .map(|v| (v, index[v.index()]))
-            // Views outside of the export have index 0, as the first of it has.
+            // A view outside the export has index 0 too, like the first one in it.
             .filter(|&(v, i)| views.get(i) == Some(v))
             .map(|(_, i)| i)
             .collect();

@@ -139,7 +139,7 @@ fn record(
 ) {
     let place = |folder: &Path| folder.canonicalize().ok();
     let own = own_folder_of_maps(plan, project).filter(|own| place(own) == place(folder));
-    // Measured by something else than the plan, they are no progress of it.
+    // Maps measured against anything but the plan are no progress of it.
     let is_other = arguments.reference.is_some() || arguments.clusters.is_some();
     let Some(own) = own.filter(|_| !is_other && arguments.out.is_none()) else {
         return;

@@ -832,7 +832,7 @@ fn report(
         arguments.dry_run,
         arguments.quiet && arguments.format == Format::Text,
     ) {
-        // Nobody sees it, and to find it may start programs.
+        // Nobody would see it, and finding it may start programs.
         (_, true) => String::new(),
         (true, false) if is_complete => next::not_dry(),
         (_, false) => {

@@ -161,7 +161,7 @@ fn wrapped_at(columns: usize, heading: &str, words: &str) -> Vec<String> {
     let indent = " ".repeat(heading.len());
     let (mut lines, mut line) = (Vec::new(), heading.to_owned());
     let mut empty = true;
-    // Not at all white space: two blanks in a path stay two.
+    // Split at single blanks, so that two blanks in a path stay two.
     for word in words.split(' ') {
         if !empty && line.chars().count() + 1 + word.chars().count() > columns {
             lines.push(std::mem::replace(&mut line, indent.clone()));

@@ -162,8 +162,7 @@ fn key(name: String, schema: &Map<String, Value>, default: &Value) -> Key {
             .map(String::from)
     };
     let number = |attribute: &str| schema.get(attribute).and_then(Value::as_f64);
-    // The largest u32 is a limit of the type, which would only clutter the list of settings.
-    let max = number("maximum").filter(|&max| max != f64::from(u32::MAX));
+    let max = number("maximum");
     Key {
         name,
         doc: text("description").unwrap_or_default().replace('\n', " "),

@@ -207,7 +207,7 @@ impl PlanJob {
         let plan = planning::plan(&project, &settings, &JobWatcher::new(job)).map_err(sort_out)?;
         let plan = around_finished(plan, &project, job)?;
         if let Some(empty) = EmptyPlan::detect(&plan) {
-            // As of an incomplete model: only another input can give more.
+            // Like an incomplete model: only other input can give more.
             return Err(Outcome::Incomplete {
                 reason: empty.to_string(),
             });

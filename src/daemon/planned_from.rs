@@ -96,7 +96,7 @@ fn files_in(set: &FileSet, project: &Path) -> Vec<String> {
         .files
         .keys()
         .map(|name| folder.join(name))
-        // Who empties the cache wants no other plan.
+        // Emptying the cache must not cause a new plan.
         .filter(|name| !name.starts_with("viewrank/cache"));
     inside
         .map(|name| name.to_string_lossy().into_owned())

@@ -57,7 +57,7 @@ impl Holder {
             path: path.into(),
             holder: holder(path),
         };
-        // Of two roots inside each other, both daemons would plan the same projects.
+        // If one root is inside the other, both daemons would plan the same projects.
         let held = |path: &Path| Self::is_held(path).then(|| error(path));
         let inside = discover::walk(root, &[root.to_path_buf()], false, &|| {});
         let inside = inside

@@ -92,7 +92,7 @@ pub fn unlikely_gsd(
     metres: Option<f64>,
 ) -> Option<String> {
     let (gsd, target) = (image_gsd?, settings.target.gsd?);
-    // Of the matched images, as the wanted one is.
+    // Of the matched images, since the wanted GSD is of those too.
     let ratio = target / (gsd / settings.image_scale());
     let than = match ratio {
         ratio if ratio < 1.0 / WANTED_RATIO => format!("{:.0} times finer", 1.0 / ratio),
@@ -310,7 +310,7 @@ fn unconfirmed(stages: &Stages, cut: &Cut) -> Option<String> {
 
 /// Returns whether the pictures leave open what can be matched, so that the plan may be far off.
 fn is_unsure(stages: &Stages, all: f64, reachable: &Band) -> bool {
-    // Without pictures the band is as wide for every scene, and tells nothing of this one.
+    // Without pictures the band is equally wide for every scene and says nothing about this one.
     !stages.agreement.is_empty() && reachable.high - reachable.low > UNSURE * all
 }
 

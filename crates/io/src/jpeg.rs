@@ -73,7 +73,7 @@ pub fn scans(bytes: &[u8]) -> Result<usize, CostlyJpeg> {
                 let Some(length) = bytes.get(at..at + 2) else {
                     break;
                 };
-                // A length counts its own two bytes, even where it says less.
+                // A length counts its own two bytes; one below 2 is damaged.
                 let length = usize::from(u16::from_be_bytes([length[0], length[1]])).max(2);
                 at += length;
                 segments += 1;

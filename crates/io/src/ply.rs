@@ -409,7 +409,6 @@ impl Body<'_> {
     }
 
     fn skip_element(&mut self, element: &Element) -> Result<(), PlyError> {
-        // Ends soon even where an element has no properties: `check_room` allows it few of them.
         (0..element.count)
             .try_for_each(|_| element.properties.iter().try_for_each(|p| self.skip(p)))
     }

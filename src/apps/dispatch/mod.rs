@@ -106,8 +106,8 @@ impl Tools {
             });
         }
         let wanted = wanted.map_or_else(|| name.into(), |named| dispatch.program.named(named));
-        // A bare name is otherwise looked for on the PATH alone, but who types a file's name means
-        // it.
+        // A bare name is otherwise looked for on the PATH alone, but whoever types the name of a
+        // file here means that file.
         let typed = named.filter(|path| path.is_file()).map(absolute);
         let program = typed.or_else(|| platform::located(&wanted).map(|found| absolute(&found)));
         let program = program.ok_or(DispatchError::Program {
@@ -217,7 +217,7 @@ impl Dispatch {
             .collect();
         let folder = project.join("viewrank/dispatch").join(backend.name);
         let workplace = absolute(&export.files.root);
-        // From memory: somebody may change those in the project at any time.
+        // From memory: somebody may change the lists in the project at any time.
         let lists = lists(&export.files, runner.lists);
         Ok(Self {
             project,

@@ -260,7 +260,7 @@ impl SlurmQueue {
             submission
                 .commands
                 .push(self.command(&request, cancel, &[]));
-            // As scancel would leave the queue: it takes away only what has not started.
+            // As scancel will leave the queue: it removes only what has not started.
             self.tasks.retain(|task| !task.pending);
             self.fusions.retain(|&(_, pending)| !pending);
             steps = self.steps(dispatch, missing, reached);
@@ -311,7 +311,7 @@ impl SlurmQueue {
                 command.extend(
                     settings
                         .time
-                        // SLURM takes whole minutes, and 0 for no limit at all.
+                        // SLURM counts whole minutes, and takes 0 for no limit at all.
                         .map(|time| format!("--time={}", (time.0 / 60.0).ceil().max(1.0))),
                 );
                 command.extend(settings.gpus.map(|gpus| format!("--gres=gpu:{gpus}")));

@@ -22,7 +22,7 @@ pub fn findings(inputs: &Inputs) -> Vec<Finding> {
         .source
         .in_force(inputs.project.images.is_some())
     {
-        // Masks limit the confidence (method 7.2), and here is none.
+        // Masks only lower the confidence (method 7.2), which is off here.
         ConfidenceSource::None => return Vec::new(),
         ConfidenceSource::Geometric => ALL_COUNTS,
         ConfidenceSource::Photometric | ConfidenceSource::Auto => NOT_COMPARED,

@@ -98,7 +98,7 @@ pub fn compare(
 pub fn rows(orders: &[Order], pairs: bool) -> Vec<(Vec<&'static str>, Vec<String>)> {
     let mut rows: Vec<(Vec<&str>, Vec<String>)> = Vec::new();
     for order in orders {
-        // Means over seeds are no whole numbers.
+        // A mean over seeds need not be a whole number.
         let digits = usize::from(!order.spread.is_empty());
         let cell = |needed: &RequiredWork| {
             format!(

@@ -258,7 +258,7 @@ impl Evaluation {
         let order: Vec<u32> = (0..run.order.len() as u32).collect();
         let [all, agreeing] = measure.cells.0.curves(&order);
         let by_triangle = ReachCurve::new(&run.predicted, objective, &run.clusters, &run.order);
-        // As the shares of the plan: by the places of the pilot, where it has one.
+        // Like the shares of the plan: by the places of the pilot, where it has one.
         let predicted = match measure.pilot {
             Some(pilot) => curve_by_places(run, pilot),
             None => by_triangle.clone(),

@@ -180,7 +180,7 @@ pub fn random(clusters: usize, seed: u64) -> Vec<u32> {
 pub fn shuffle<T>(values: &mut [T], seed: u64) {
     let mut generator = Pcg64::seed_from_u64(seed);
     for i in (1..values.len()).rev() {
-        // By a product, not a remainder: uniform up to one part in 2^64 / below.
+        // The bias is at most one part in 2^64 / below: too small to draw again.
         let below = i as u128 + 1;
         values.swap(
             i,

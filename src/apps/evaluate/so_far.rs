@@ -215,7 +215,7 @@ impl<'a> PlaceRecord<'a> {
         // As if half a map more had kept what it could, so that not all is lost if none has.
         let before = (0.5 * tried / f64::from(self.maps.max(1))).max(1.0);
         let mean = (kept + chance * before) / (tried + before);
-        // A single trial is equally likely under every number of trials.
+        // A place tried once has the same likelihood whatever the number of trials.
         counts.retain(|[_, tried], _| *tried > 1);
         let likelihood = |trials: f64| -> f64 {
             let [alpha, beta] = [mean * trials, (1.0 - mean) * trials];

@@ -138,7 +138,7 @@ fn search(min_matches: u32, loss: &dyn Fn(&Numbers) -> f64) -> (f64, Numbers) {
         min_matches,
         photometric: Photometric {
             agree,
-            // The search may pass agree, but such settings are refused.
+            // The search may move `differ` above `agree`, which the settings refuse.
             differ: differ.min(agree),
             full_agreement,
         },

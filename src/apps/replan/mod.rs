@@ -311,7 +311,8 @@ fn believed(
     let mut table = FulfilmentTableBuilder::like(&stages.visibility)?;
     for &Rows { finished, planned } in rows {
         match (finished, planned) {
-            // Without a cluster in this plan there is no prediction of the other size.
+            // A map whose key view has no cluster in this plan counts at both sizes: no prediction
+            // exists for the other.
             (Some(c), planned) if run.scales[c] == size || planned.is_none() => {
                 let (triangles, values) = run.real.row(c);
                 table.push(triangles, values)?;

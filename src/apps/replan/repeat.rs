@@ -130,7 +130,7 @@ fn predicted(
         settings.backends.push(recorded.backend.clone());
     }
     if recorded.own_size {
-        // Recorded as it was in force: only where it is unset is it the backend's own again.
+        // The plan records the size in force; unset, it is the backend's own again.
         settings.image_scale = None;
     }
     // Checked before the long computation, even though this reads the model twice.

@@ -271,7 +271,7 @@ impl<'a> Undistortion<'a> {
                     c.params()
                 )
             };
-            // Where the batch is there, nothing is decoded; where not, the file is read again.
+            // Read only to be hashed: a batch that is there is not decoded.
             let image = blake3::hash(&self.read(view)?).to_string();
             let (from, to) = (camera(self.source(view)), camera(self.target(view)));
             Ok(ImageRecipe {

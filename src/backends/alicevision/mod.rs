@@ -168,7 +168,7 @@ fn row(selection: &Selection, rank: usize, cluster: &RankedCluster) -> Row {
     let position = cluster.partners.iter().filter(|p| id(**p) < key).count();
     let (k, downscale) = (cluster.partners.len(), downscale(selection));
     let camera = selection.scene.camera_of(cluster.key);
-    // One size for all maps, so that the second content would be the same.
+    // All maps have one size, so the id at full size would be the same.
     let [mark, _] = task_ids(&BACKEND, selection, cluster);
     let options = format!(
         "--rangeStart {position} --rangeSize 1 \

@@ -201,7 +201,6 @@ fn landmark_entry(scene: &Scene, id: usize, (point, views): &Track) -> Landmark 
     let pixel = |view: ViewIndex| {
         track
             .clone()
-            // A view that observes the point twice gives its first pixel.
             .find(|&i| scene.track_views[i] == view)
             .map_or([0.0; 2], |i| scene.track_pixels[i].map(|c| c + PIXEL_SHIFT))
     };

@@ -482,7 +482,7 @@ impl<'a> Passes<'a> {
             let mut map = listed(problem, "photometric", "filter 1");
             if let Some(task) = tasks.get(&*problem.reference) {
                 // The mark of the task, so that `viewrank run` goes on from maps of `run.sh`, and
-                // the reverse.
+                // vice versa.
                 [map.id, _] = task_ids(&BACKEND, selection, task);
             }
             map

@@ -81,7 +81,7 @@ pub fn commands(call: &Call) -> Result<Vec<Vec<OsString>>, String> {
         .flat_map(|name| ["bin", "txt"].map(|end| format!("{name}.{end}")))
     {
         let path = format!("sparse/{name}");
-        // A model is binary or text, and only those of COLMAP 4 have rigs and frames.
+        // A model is binary or text, and only those of COLMAP 3.12 and later have rigs and frames.
         if call.workplace.join(&path).is_file() {
             files.add(&*path, call.link(&path));
         }

@@ -187,7 +187,6 @@ fn row(selection: &Selection, rank: usize, cluster: &RankedCluster) -> Result<Ro
         options: vec![
             format!("-s{level}"),
             format!("--neighbors={partners}"),
-            // With more than there are partners, dmrecon writes an empty map and ends with 0.
             format!("--local-neighbors={}", partners.min(LOCAL_NEIGHBOURS)),
             // The id of a key view is its rank.
             format!("-m{}", rank - 1),

@@ -308,7 +308,8 @@ impl Parallax {
         // A motion across the line of sight would put the epipole at infinity. As far away as this
         // the error is below 0.001 px per pixel of disparity.
         let height = e.z.abs().max(e.xy().norm() / FAR).copysign(e.z);
-        // Plus, unlike in textbooks: on this plane n . X = 1, so that R X + t is (R + t nᵀ) X.
+        // A plus, not Hartley and Zisserman's minus: on this plane n . X = 1, so R X + t is (R + t
+        // nᵀ) X.
         let by_plane = rotation + translation * (plane.transpose() * key.intrinsics);
         let homography = partner.intrinsics * by_plane * key.intrinsics.try_inverse()?;
         Some(Self {
@@ -374,7 +375,6 @@ impl Parallax {
                 radius > disparity && partner.shows(there.into())
             })
         };
-        // No further than it takes to decide.
         (0..columns * rows).filter(shown).take(enough).count() == enough
     }
 }

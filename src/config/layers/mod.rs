@@ -629,7 +629,7 @@ fn type_error(key: &Key, error: &toml::de::Error) -> String {
     if key.words.is_empty() {
         let message = error.message().lines().next().unwrap_or_default();
         let kinds = [
-            // serde names types of Rust, such as u32, which say little to who writes the file.
+            // serde names Rust types, such as u32, which mean little to whoever writes the file.
             ("expected u", "must be a whole number"),
             ("expected f", "must be a number"),
             ("expected a bool", "must be true or false"),

@@ -57,7 +57,7 @@ fn pack_table(
     clusters: &[ViewCluster],
     visibility: &Visibility,
 ) -> Option<()> {
-    // Fulfilled triangles are a part of those seen, in the same order: a bit each, not four bytes.
+    // A bit for each triangle seen is smaller than four bytes for each fulfilled one.
     let mut bits = Vec::new();
     for (i, cluster) in clusters.iter().enumerate() {
         let seen = visibility.triangles_seen_by(cluster.key);

@@ -133,7 +133,8 @@ impl<'a> Fingerprints<'a> {
     ) -> CacheFile {
         let inputs = || {
             let mut hasher = self.of_results(&[surface.inputs()?]);
-            // Its numbers come in where clusters are chosen: of others, this result stays.
+            // Only the form: the numbers matter where clusters are chosen, so changing them keeps
+            // this result.
             let form = match confidence {
                 Confidence::None => 0,
                 Confidence::Pair(_) => 1,
@@ -211,7 +212,7 @@ impl<'a> Fingerprints<'a> {
     ) -> CacheFile {
         let inputs = || {
             let mut hasher = self.of_results(&[clusters.inputs()?]);
-            // Places depend on the support only in whether those of single maps are among them.
+            // Of the support, only this matters: with 1, places that a single map shows count too.
             add(&mut hasher, &(support == 1));
             for view in scene.view_indices() {
                 add(&mut hasher, &pictures.stamps(scene.name(view))?);
@@ -294,7 +295,8 @@ fn add_parts(mut hasher: Hasher, parts: &[&[u8]]) -> Hasher {
 /// Hashes what stages read of a scene: all but the ids of its file, colours and warnings.
 fn hash_of(scene: &Scene) -> Hash {
     let pixels = || blake3::hash(bytemuck::cast_slice(&scene.track_pixels));
-    // The pixels are about half of all bytes, 16 for each observation: they go beside the rest.
+    // The pixels, 16 bytes for each observation, are the largest part, and are hashed beside the
+    // rest.
     let (pixels, mut hasher) = rayon::join(pixels, || {
         let mut hasher = Hasher::new();
         for camera in &scene.cameras {

@@ -87,7 +87,7 @@ impl Basis {
             row: TABLES_ROW + where_true(compared, candidates) + where_true(has_half, HALF_ROW),
             samples_row: where_true(compared, SAMPLES_ROW),
             candidates,
-            // Clusters go in batches: of more threads than a batch has clusters, the rest idles.
+            // Clusters go in batches: threads beyond the clusters of a batch are idle.
             choosers: threads.min(views).min(BATCH as u64),
             picture,
             pilot: where_true(
@@ -96,8 +96,7 @@ impl Basis {
                 of_places.max(of_all + threads * of_one.max(picture)),
             ),
             redrawn: !makes_maps,
-            // Each price that is tried at once holds the largest f of every triangle, as many as
-            // support.
+            // Each price that is tried at once holds the `support` largest f of every triangle.
             ranked: where_true(
                 has_half,
                 threads.min(u64::from(PRICES) + 1) * size_of::<f32>() as u64 * support,

@@ -261,7 +261,8 @@ pub fn planned_ground(project: &Project, settings: &Settings) -> Option<GroundSu
 pub fn planned_workspace(project: &Project) -> Option<PathBuf> {
     let dense = project.dense_workspace.clone();
     let dense = dense.or_else(|| project.undistorted_workspace());
-    // A workspace is its own: without the first condition, `open` would not end.
+    // A workspace would name itself: without the first condition, `RecordedPlan::open` would
+    // recurse for ever.
     let dense = dense.filter(|dense| *dense != project.root && dense.join(FILE).is_file());
     dense.filter(|_| !project.home.join(FILE).exists() || needs_undistorted_images(project))
 }
@@ -347,7 +348,7 @@ impl WrittenPlan {
             None => all,
         };
         let by_target = target.map_or(all, |target| {
-            // With the first cluster that reaches the target.
+            // Those below the target, and the one that reaches it.
             self.clusters.partition_point(|c| c.share < target.0) + 1
         });
         if budget.is_none() && target.is_none() {

@@ -183,7 +183,6 @@ impl FromStr for Bytes {
         let (number, unit) = split(text.trim(), |c| c.is_ascii_digit() || c == '.');
         let unit = unit
             .trim()
-            // "4GB" and "4GiB" are the same here.
             .trim_end_matches('B')
             .trim_end_matches('i')
             .to_uppercase();

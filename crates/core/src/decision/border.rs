@@ -99,7 +99,8 @@ impl Site {
             corners[2] - corners[1],
         ];
         let longest = edges.iter().map(|edge| edge.norm()).fold(0.0, f64::max);
-        // Half a cell apart, so that no cell inside is missed.
+        // At most half a cell apart, so that no cell inside is missed; only triangles longer than
+        // 100 cells may leave gaps.
         let steps = ((2.0 * longest / self.cell).ceil() as usize).clamp(1, SAMPLES);
         for i in 0..=steps {
             for j in 0..=steps - i {
@@ -125,8 +126,7 @@ impl Site {
                 continue;
             }
             let around = [
-                // Beyond 0 it wraps to a number above the last column, which is left out like any
-                // other.
+                // 0 wraps to usize::MAX, which `empty` rejects as beyond the last column.
                 (column.wrapping_sub(1), row),
                 (column + 1, row),
                 (column, row.wrapping_sub(1)),
@@ -229,8 +229,7 @@ fn quantile(values: &mut [(f64, f64)], share: f64) -> f64 {
     let mut left = values;
     while left.len() > 1 {
         let middle = (left.len() - 1) / 2;
-        // Ties by weight: which of equal values is on which side must not depend on their order
-        // before.
+        // Ties by weight: sums are rounded, and must not depend on the order of equal values.
         let order = |a: &(f64, f64), b: &(f64, f64)| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1));
         left.select_nth_unstable_by(middle, order);
         let (low, high) = left.split_at_mut(middle + 1);

@@ -360,8 +360,8 @@ impl Weighing<'_> {
         };
         let by_triangle = (self.rule.objective, predicted);
         self.objective(by_triangle, sum, |place| {
-            // Chances of independent maps, more worth for a third map, and a product with f give
-            // worse orders in the clouds of OpenMVS on seven sets.
+            // Chances of independent maps, more weight for a third map and a product with f all
+            // gave worse orders in the clouds of OpenMVS on seven sets.
             let sure = match self.places.agreement[place] {
                 Agreement::Single => 0.0,
                 Agreement::Two => TWO_FOR_ORDER,
@@ -420,8 +420,7 @@ impl Weighing<'_> {
         weights
             .iter_mut()
             .for_each(|weight| *weight *= (1.0 - predicted) * sum);
-        // Without `sum`: of weights that add up to 1, it is what all clusters keep of the
-        // triangles.
+        // Not times `sum`: of triangles with a total weight of 1, all clusters keep `sum`.
         weights.extend(by_triangle.weights.iter().map(|weight| predicted * weight));
         objective.inside = by_triangle.inside;
         objective

@@ -31,7 +31,8 @@ impl GivenUp {
         take(&mut reached, &maps, chosen().take(clusters));
         let at_cut = AtCut::of_items(&reached, weights.len());
         if maps.has_half() {
-            // Of two sizes, what all clusters give is at full size, ranked so or not.
+            // With two sizes, the reference is all clusters at full size, whatever size they are
+            // ranked at.
             reached = Reached::by_all(&maps, objective)
         } else {
             take(&mut reached, &maps, chosen().skip(clusters));

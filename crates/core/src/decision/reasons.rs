@@ -135,7 +135,7 @@ impl<'a> Reasons<'a> {
     }
 
     fn no_cluster(&self, view: ViewIndex) -> Reason {
-        // First what keeps a view out whatever it sees.
+        // Reasons that hold whatever the view sees come first.
         if self.without_image.binary_search(&view).is_ok() {
             Reason::NoImage
         } else if self.kept_for_tests.binary_search(&view).is_ok() {
@@ -201,8 +201,7 @@ impl<'a> Reasons<'a> {
         }
         let is_fulfilled = |t: usize| f64::from(best[t]) >= FULFILLED;
         let has_few_cameras = |t: usize| self.viewers[t] < self.model.rule.min_cameras;
-        // The table has no factors of f, and their definition is slow: only where they give the
-        // reason.
+        // Factors of f are not in the table and slow to compute: only where they give the reason.
         let nearest = self.nearest_to_success(|t| !is_fulfilled(t) && !has_few_cameras(t));
         let reason = |t: usize| match nearest[t] {
             _ if is_fulfilled(t) => None,
@@ -224,7 +223,7 @@ impl<'a> Reasons<'a> {
         let mut nearest: Vec<Option<Fulfilment>> = vec![None; self.model.surface.triangles.len()];
         for clusters in self.clusters.chunks(CLUSTERS_AT_ONCE) {
             let found: Vec<Vec<(u32, Fulfilment)>> = clusters.par_iter().map(of_cluster).collect();
-            // In the order of the clusters, to which ties go on any number of threads.
+            // In the order of the clusters, so that ties go to the first on any number of threads.
             for (t, fulfilment) in found.into_iter().flatten() {
                 let held = &mut nearest[t as usize];
                 if held

@@ -41,8 +41,8 @@ impl TargetMode {
     pub fn in_force(self, target_is_given: bool) -> Self {
         match self {
             Self::Auto if target_is_given => Self::Absolute,
-            // One g_d for a scene that is 50 m deep here and 500 m there would call all that is far
-            // a failure.
+            // One g_d for a scene that is 50 m deep here and 500 m there would call everything far
+            // away a failure.
             Self::Auto => Self::Best,
             chosen => chosen,
         }

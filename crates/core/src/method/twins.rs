@@ -66,7 +66,7 @@ pub fn twins(
     };
     let best_first = criteria.ranked(&placed, watcher)?;
     let mut aside = set_aside(scene, &best_first, watcher)?;
-    // Of two views that are kept for tests none is set aside for the other.
+    // Of two views kept for tests, neither is set aside for the other.
     aside.retain(|twin| !criteria.is_test(twin.view));
     Ok(aside)
 }

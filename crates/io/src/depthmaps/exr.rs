@@ -213,7 +213,7 @@ fn unpacked(stored: &[u8], length: usize) -> Result<Vec<u8>, String> {
             bytes.len()
         ));
     }
-    // Each byte is the difference from the one before it, plus 128.
+    // OpenEXR's predictor: differences of neighbours, plus 128.
     for i in 1..length {
         bytes[i] = bytes[i].wrapping_add(bytes[i - 1]).wrapping_sub(128);
     }

@@ -98,7 +98,7 @@ fn cloud(bytes: &[u8]) -> Parsed<Cloud> {
         // The third column is the optical axis in the world.
         cosine += numbers::<3>(matrix, row)?[2] * x;
     }
-    // What is not a number would pass the comparison.
+    // NaN would pass the comparison.
     if cosine.is_nan() || (cosine - 1.0).abs() > SAME_DIRECTION {
         return Err((
             0,

@@ -509,8 +509,7 @@ pub fn parse(
         DepthMapFormat::MicMac => micmac::parse(bytes, bound, beside),
         DepthMapFormat::Npy => npy::parse(bytes, bound),
     }?;
-    // Formats differ in what they write for no depth: AliceVision -1, others 0 or what is no
-    // number.
+    // No depth is -1 in AliceVision, 0 or NaN elsewhere.
     for z in &mut depth {
         if !(z.is_finite() && *z > 0.0) {
             *z = 0.0;

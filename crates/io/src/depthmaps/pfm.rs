@@ -38,7 +38,7 @@ pub fn resized(
         at.min(u64::from(of) - 1) as usize
     };
     let mut file = format!("Pf\n{width} {height}\n-1.0\n").into_bytes();
-    // The last row comes first in the file.
+    // PFM stores the bottom row first.
     for y in (0..height).rev() {
         let row = &values[nearest(y, height, h) * w as usize..][..w as usize];
         let row = (0..width).map(|x| row[nearest(x, width, w)]);

@@ -1,4 +1,4 @@
-//! COLMAP's binary model files (`cameras.bin`, `images.bin`, `points3D.bin`; since 4.0 `rigs.bin`,
+//! COLMAP's binary model files (`cameras.bin`, `images.bin`, `points3D.bin`; since 3.12 `rigs.bin`,
 //! `frames.bin`): little-endian, no padding, a u64 count followed by the records.
 //!
 //! Counts are checked against the remaining bytes before anything is allocated. 2D points and
@@ -32,7 +32,7 @@ use super::{
 pub fn read<'a>(bytes: &Bytes<'a>) -> Result<ColmapModel<'a>, Fault> {
     let mut warnings = Vec::new();
     Ok(ColmapModel {
-        // The numbers are the bytes of the smallest record, with an empty name and empty lists.
+        // The numbers are the bytes of a record without its name, parameters and lists.
         cameras: records(
             "cameras",
             bytes.cameras,

@@ -12,7 +12,7 @@ const SEARCHED: u64 = 256 << 10;
 /// Largest number of entries of a directory that is read.
 const MOST_ENTRIES: usize = 512;
 
-// Tags of CIPA DC-008: of the first directory, then of that of the position.
+// Tags of CIPA DC-008: of the first directory (IFD0), then of the GPS directory.
 const ORIENTATION: u16 = 0x0112;
 const GPS_DIRECTORY: u16 = 0x8825;
 const LATITUDE_REF: u16 = 1;

@@ -209,7 +209,7 @@ fn normalise(name: &mut String) -> Option<bool> {
     if is_of_windows(name) {
         let has_drive = !name.starts_with('\\');
         let slash = if has_drive { "/" } else { "" };
-        // With the drive as a folder, names on several drives have no common beginning.
+        // With the drive as a folder, names on several drives have no folder in common.
         *name = slash.to_owned() + &name.replace('\\', "/").replacen(':', "", 1);
         return Some(has_drive);
     }

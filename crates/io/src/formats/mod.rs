@@ -116,8 +116,8 @@ pub enum Problem {
         expected: &'static str,
         found: String,
     },
+    /// What is wrong in the contents of a file, in words.
     #[error("{0}")]
-    /// What is wrong in JSON, XML or PLY.
     Content(String),
     #[error("unknown camera model {0}")]
     CameraModel(String),

@@ -179,7 +179,7 @@ fn distortion(entries: &Entries, pinhole: [f64; 4]) -> Result<(CameraModel, Vec<
     let Some(entry) = entries.get("IntOri_Distortion") else {
         return Ok(without);
     };
-    // Behind the name of the model and the number of its parameters.
+    // After the name of the model and the number of its parameters.
     let values = entry.words().skip(2).filter_map(|word| parse(word).ok());
     let values: Vec<f64> = values.take(6).collect();
     match (entry.words().next(), &values[..]) {

@@ -193,7 +193,7 @@ impl<'a> Xml<'a> {
                     return Err(Problem::Truncated("an element").at(at));
                 }
                 Event::End(_) | Event::Eof => {
-                    // At the end of the file nothing is open any more.
+                    // Past the end of the file nothing is open, and 0 - 1 would overflow.
                     self.open = self.open.saturating_sub(1);
                     Step::Out
                 }

@@ -202,7 +202,7 @@ impl Folder {
             .flatten()
             .filter(|found| !found.is_file());
         options.follow(FollowSymlinks::No);
-        // Where nothing keeps an open from blocking, what is there is looked at first.
+        // Where an open cannot be kept from blocking (Windows), look at what is there first.
         if cfg!(unix) {
             options.nonblock(true);
         } else if let Some(found) = before {

@@ -92,7 +92,7 @@ fn known_hashes(steps: &[Step]) -> BTreeMap<&str, BTreeSet<&str>> {
 fn check_file(root: &Root, path: &str, known: &BTreeSet<&str>) -> Result<bool, String> {
     let found = root.folder.find(path).map_err(|error| error.to_string())?;
     let there = hash(root, path)?;
-    // Whoever has edited the file since the crash keeps it.
+    // A file edited since the crash is the user's.
     let is_known = there.as_ref().is_none_or(|there| known.contains(&**there));
     if !is_known || found.is_some_and(|found| found.is_dir()) {
         return Err(format!("{path} has changed since, so it is not touched"));

@@ -398,8 +398,8 @@ impl Staging<'_> {
     }
 
     /// Target of a link: relative if both ends are below the root, so the project can be moved;
-    /// otherwise absolute, also where a folder on the way to the link is itself a link, whose `..`
-    /// lead elsewhere.
+    /// otherwise absolute, also where a folder on the way to the link is itself a link, since `..`
+    /// would then lead elsewhere.
     fn link_target(&self, to: &Path, path: &str) -> PathBuf {
         let absolute = paths::absolute(to);
         let real = match (

@@ -24,7 +24,7 @@ pub(super) fn write(
     disk: &Disk,
 ) -> Result<Vec<WriteReport>, OutputError> {
     let root = Root::open(path, disk)?;
-    // An unfinished change of an earlier process comes first, whose staging folder is in the way.
+    // First an earlier process's unfinished change, whose staging folder is in the way.
     root.settle()?;
     let staged = root
         .make_staging()

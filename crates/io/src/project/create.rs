@@ -13,7 +13,8 @@ use viewrank_core::{
 use super::{ImageFolder, Project, ProjectError};
 use crate::{
     formats::{colmap::ColmapModel, colmap_bin},
-    output::{self, Contents, Disk, FileSet, OutputError},
+    input::{self, FileKind},
+    output::{Contents, Disk, FileSet, OutputError},
     paths,
 };
 
@@ -96,7 +97,11 @@ fn model_files(folder: &Path, scene: &Scene, images: Option<&Path>) -> FileSet {
 /// Returns whether all files of a model have their contents already.
 fn are_there(model: &FileSet) -> bool {
     model.files.iter().all(|(name, contents)| match contents {
-        Contents::Bytes(bytes) => output::is_own(&model.root, name, bytes).unwrap_or(false),
+        Contents::Bytes(bytes) => {
+            let path = model.root.join(name);
+            let there = input::read_start(&path, FileKind::Sparse, bytes.len() as u64 + 1);
+            there.is_ok_and(|there| there == *bytes)
+        }
         _ => false,
     })
 }

@@ -28,7 +28,7 @@ pub fn images_below(folder: &Path, is_wanted: impl Fn(&Path) -> bool) -> Vec<Str
         .take(MOST_ENTRIES);
     let images = entries
         .filter_map(Result::ok)
-        // Also through a link: images often are links to a store.
+        // Also through a link: images are often links to a store.
         .filter(|entry| is_image(entry.path()) && entry.path().is_file());
     let names = images.filter_map(|entry| {
         entry

@@ -245,7 +245,7 @@ impl ImageFaults {
             Ok(Some(size)) if size != [camera.width, camera.height] => {
                 faults.other_size.push((view, size));
             }
-            // Of formats that cannot be checked nothing is said.
+            // Formats that cannot be checked are passed over.
             Ok(_) => {}
             Err(Unread::Missing) => faults.missing.push(view),
             Err(Unread::Broken(why)) => faults.unreadable.push((view, why)),
@@ -300,7 +300,7 @@ impl ImageFaults {
             of_width.min(f64::from(height) / f64::from(camera.height))
         };
         let readable = scene.view_indices().filter(|view| !without.contains(view));
-        // The median, since a few images may be anything.
+        // The median, since a few images may have any size.
         upper_median(readable.map(of_view))
     }
 

@@ -64,8 +64,7 @@ fn originals(root: &Path, model: &ModelLocation, images: &Path) -> Option<Origin
     }
     let above = images.ancestors().skip(1).take(ABOVE);
     above.chain([root]).find_map(|project| {
-        // Above a relative path is the empty one, which cannot be typed in the command of the
-        // advice.
+        // The ancestors of a relative path end with an empty one, which no command line can name.
         let is_here = project.as_os_str().is_empty();
         let project = if is_here { Path::new(".") } else { project };
         Some(Originals {

@@ -105,7 +105,7 @@ fn file_key(name: &str) -> String {
 fn files_below(folder: &Path) -> HashMap<String, Fitting> {
     let mut files: HashMap<String, Fitting> = HashMap::new();
     let entries = WalkDir::new(folder)
-        // Images often are elsewhere, behind a link.
+        // Images are often elsewhere, behind a link.
         .follow_links(true)
         // Sorted, since the first two of several files are named in messages.
         .sort_by_file_name()

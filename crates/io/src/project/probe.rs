@@ -78,7 +78,7 @@ fn open(path: &Path) -> Result<(File, u64), Unread> {
     }
     let file = input::open(path).map_err(|error| match error.kind() {
         io::ErrorKind::PermissionDenied => Unread::Broken("no permission to read it"),
-        // It has holes, as a stopped download leaves them.
+        // It has holes, such as a stopped download leaves.
         io::ErrorKind::InvalidData => Unread::Broken("not completely copied"),
         _ => Unread::Broken("cannot be opened"),
     })?;

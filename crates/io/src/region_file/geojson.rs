@@ -397,7 +397,7 @@ fn intersection((a, b): Segment, (c, d): Segment, beyond: f64) -> Option<[f64; 2
         let (along, to) = ([q[0] - p[0], q[1] - p[1]], [x[0] - p[0], x[1] - p[1]]);
         (along[0] * to[1] - along[1] * to[0]) / along[0].hypot(along[1])
     };
-    // An edge of length 0 gives distances that are not numbers, which are beyond nothing.
+    // An edge of length 0 gives NaN, for which both comparisons are false.
     let is_beyond = |one: f64, other: f64| one.min(other) < -beyond && one.max(other) > beyond;
     let (of_a, of_b) = (from(c, d, a), from(c, d, b));
     let is_crossed = is_beyond(of_a, of_b) && is_beyond(from(a, b, c), from(a, b, d));

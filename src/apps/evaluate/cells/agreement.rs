@@ -85,7 +85,7 @@ impl<'a> ThinnedMaps<'a> {
                 camera,
                 pose,
                 frustum: Frustum::new(camera, pose),
-                // At once, because the whole maps have no room together.
+                // Thinned as it is read: the whole maps do not fit into memory together.
                 map: thinned(map, most_depths(files.len(), file.data_bytes())),
             })
         };

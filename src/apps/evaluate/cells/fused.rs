@@ -221,8 +221,8 @@ impl FusedPoints for FusedCloud {
                 ply::read_with_lists(&self.bytes, "view_indices", &mut push).map_err(ply)?;
             }
             PointViews::Beside(bytes) => {
-                // Behind the number of points, which need not be that of the cloud: the end is
-                // compared below.
+                // The lists follow their number, which may be wrong: whether they end with the
+                // cloud is checked below.
                 let (mut lists, mut images) = (Lists { bytes, at: 8 }, Vec::new());
                 ply::read_with_lists(&self.bytes, "", |point, _| {
                     lists.next(&mut images);

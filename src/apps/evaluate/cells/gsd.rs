@@ -49,7 +49,8 @@ impl<'a> PlaceGsd<'a> {
     /// Cells of few sizes: their edges must fit together where `g_d` changes.
     pub fn octave(&self, place: &Point3<f64>) -> Option<i16> {
         let (octave, median) = match self.fixed {
-            // A single size costs no looks at others, however far from the images' own it is set.
+            // With one size for all cells there are no others to search, so no place is too far
+            // from the images' own.
             Some(gsd) => (gsd.log2().round(), None),
             None => (self.finest(place)?.log2().round(), self.median),
         };

@@ -56,7 +56,7 @@ pub fn around(plan: &Plan, holes: &[Hole], frame: &MapFrame) -> Vec<Candidate> {
                 let centre = place + direction * distance;
                 let is_new = |other: &Candidate| {
                     (other.centre - centre).norm() > SAME * step
-                        // The cosine of one step of 14°.
+                        // More than one `STEP_DEG`, of which this is the cosine, rounded down.
                         || other.direction.dot(&-direction) < 0.97
                 };
                 if direction.dot(&frame.axes[2]) >= LOWEST && all.iter().all(is_new) {

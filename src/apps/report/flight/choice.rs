@@ -256,7 +256,7 @@ fn greedy(
             .par_iter()
             .enumerate()
             .map(value)
-            // Ties by index: threads compare equals in any order.
+            // Ties go to the first cluster: `max_by` alone returns the last of equals.
             .max_by(|a, b| a.0.total_cmp(&b.0).then(b.3.cmp(&a.3)));
         let Some((_, gain, images, cluster)) = best else {
             break;

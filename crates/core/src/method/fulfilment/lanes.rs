@@ -153,7 +153,7 @@ impl ClusterLanes {
             let component = |c: &Lanes| convert::<f64, T>(f64::from(c[i]));
             let smallest = smallest_eigenvalue([xx, xy, yy, xz, yz, zz].map(component));
             let spread = convert::<f64, T>(f64::from(key.unit[i])) * smallest.sqrt();
-            // A comparison is one instruction, which `min` is not.
+            // One vector instruction; `min` must handle NaN and takes several.
             let uncertainty = if spread < T::one() { spread } else { T::one() };
             let resolution = convert::<f64, T>(f64::from(key.resolution[i]));
             let weight = convert::<f64, T>(f64::from(weights.uncertainty));
@@ -274,7 +274,7 @@ pub fn exp2(x: f32) -> f32 {
     ];
     /// Adding this constant rounds to an integer, which appears in the lowest bits.
     const ROUND: f32 = 12_582_912.0;
-    // Below -127 the bits of the exponent would wrap around to infinity.
+    // Below -127 the exponent would wrap into the sign bit.
     let x = if x > -125.0 { x } else { -125.0 };
     let whole = x + ROUND;
     let rest = x - (whole - ROUND);

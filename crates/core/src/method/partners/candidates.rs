@@ -294,7 +294,8 @@ fn select(
             None => selected.views.push(partner),
         }
     }
-    // Lazily: the program's rule looks at the points of a pair, and few pairs are lacking, if any.
+    // Lazily: the program's rule looks at all points of a pair, and few partners are lacking, if
+    // any.
     selected.fill_beyond_gate(unlikely.iter().filter(|pair| !refuses(pair)), settings.k);
     selected
 }

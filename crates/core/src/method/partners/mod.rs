@@ -42,8 +42,8 @@ pub fn choose(
     seed: u64,
     watcher: &dyn Watcher,
 ) -> Result<(Vec<ViewCluster>, FulfilmentTable), TableError> {
-    // Once for all, not again for what the ranking lacks: partners chosen for the gain win nothing
-    // reliable on real maps (method 4.1).
+    // Once for all: partners chosen again for the gain gave no reliable gain (benchmarks, "The
+    // paper's experiments").
     let choosing = Choosing::new(model, candidates, settings, seed);
     let keys = choosing.keys();
     let steps = StepCounter::start(watcher, Stage::Partners, keys.len());

@@ -56,7 +56,7 @@ pub fn combinations(
     };
     let mut known: HashSet<Vec<usize>> = drawn.iter().cloned().collect();
     let mut random = generator(seed, scene.name(key));
-    // Ends, since there are more combinations than draws.
+    // Terminates, since there are more combinations than draws.
     while drawn.len() < draws {
         let combination = draw(&mut random, n, k);
         if known.insert(combination.clone()) {

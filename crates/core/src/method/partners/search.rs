@@ -46,7 +46,7 @@ pub fn search(block: &mut Block, start: Vec<usize>, n: usize) -> PartnerChoice {
             best = other;
         }
     }
-    // Ends, since the sum on all triangles grows with each exchange.
+    // Terminates, since the sum on all triangles grows with each exchange.
     while let Some(better) = exchange(block, &best, n, judges) {
         best = better;
     }

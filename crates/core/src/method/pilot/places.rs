@@ -151,7 +151,7 @@ impl Places {
                 part.place = new.unwrap_or_default();
                 new.is_some()
             });
-            // They are thinned out for the memory, which the lists would keep.
+            // Otherwise the lists would keep the memory for which they are thinned out.
             parts.shrink_to_fit();
         }
         retain(&mut self.centres, sampled);

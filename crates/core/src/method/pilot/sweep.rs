@@ -257,7 +257,7 @@ impl Scratch {
                 let mean = sum / PIXELS;
                 let variance = (squares / PIXELS - mean * mean).max(0.0);
                 self.mean[y * width + x] = mean;
-                // With that of noise added, flat windows correlate with nothing.
+                // With the variance of noise added, flat windows correlate with nothing.
                 self.inverse_deviation[y * width + x] = 1.0 / (variance + NOISE).sqrt();
             }
         }

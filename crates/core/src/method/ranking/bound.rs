@@ -309,8 +309,8 @@ impl<const N: usize> Dual<N> {
         let mut best = all;
         best.sort_by(|&a, &b| per_work(b).total_cmp(&per_work(a)));
         let (whole, part) = within(limit, &best, |map| maps.work(map));
-        // A part of the next map, as in a fractional knapsack: else a set with less work in each
-        // map could exceed the bound.
+        // A part of the next map, as in the fractional knapsack: without it, a set that fills the
+        // work better could exceed the bound.
         let next = best.get(whole).map_or(0.0, |&map| part * gain(map));
         best.truncate(whole);
         let most = self.paid() + best.iter().map(|&map| gain(map)).sum::<f64>() + next;

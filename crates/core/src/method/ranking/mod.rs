@@ -301,7 +301,7 @@ impl<'a> Greedy<'a> {
                 Reverse(map),
             )
         };
-        // A scan, not a heap: a step changes the gains of many maps, upwards, too.
+        // A scan, not a heap: a step changes the gains of many maps, and raises some.
         self.gaining().max_by_key(key)
     }
 
@@ -341,7 +341,7 @@ impl<'a> Greedy<'a> {
                 continue;
             }
             raised.triangles.push(t);
-            // Copied before they are overwritten: the gains of other maps change by the difference.
+            // The gains of other maps change by the difference.
             raised.before.extend_from_slice(self.reached.largest(t));
             self.reached.take_at(t, f);
         }

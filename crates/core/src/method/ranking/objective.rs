@@ -34,7 +34,7 @@ impl Objective {
     ) -> Self {
         let triangles = 0..surface.triangles.len();
         let raw: Vec<f64> = match weight {
-            // The far walls of a room, cut into many triangles, outweigh the bust in it then.
+            // Here the far walls of a room, cut into many triangles, outweigh the bust in it.
             TriangleWeight::Count => triangles.map(|_| 1.0).collect(),
             TriangleWeight::Area => return Self::by_area(surface, region, support),
             TriangleWeight::Pixels => triangles.map(|t| shown.mean_pixels(t)).collect(),

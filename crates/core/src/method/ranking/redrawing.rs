@@ -183,7 +183,7 @@ impl Redrawing {
             // Its own photograph is among them, which it does not draw whole either.
             let others = &self.entries[self.by_place.row(own.place as usize)];
             let gains = others.iter().map(|other| other.left * own.draws(other));
-            // The few views of a place are summed in f32, the many places in f64.
+            // f32 is precise enough for the few views of a place, not for the sum of many places.
             f64::from(gains.sum::<f32>())
         });
         gains.sum()

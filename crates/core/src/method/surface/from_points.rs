@@ -180,7 +180,7 @@ fn carved(
     steps: &Steps,
 ) -> Result<Surface, SurfaceError> {
     let delaunay = Delaunay::triangulate(positions, steps.watcher)?;
-    // Only on the grid: what is flat before is terrain.
+    // Possible only after rounding to the grid: points that are flat before become terrain.
     if delaunay.dimension != Dimension::Three {
         return Err(SurfaceError::Linear);
     }

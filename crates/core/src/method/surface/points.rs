@@ -133,7 +133,7 @@ pub fn extremes(directions: &[Vector3<f64>], most: usize) -> Vec<usize> {
             .min_by(|&a, &b| nearness[a].total_cmp(&nearness[b]))
             .unwrap_or(0);
         if kept.is_empty() {
-            // The mean only decides on the first.
+            // The mean only picks the first one.
             nearness.fill(f64::NEG_INFINITY);
         }
         kept.push(farthest);

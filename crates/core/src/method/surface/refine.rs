@@ -156,7 +156,7 @@ impl Splitting {
     }
 
     fn split_if_fresh(&mut self, edge: LongEdge) -> bool {
-        // Splits rename and shorten edges without a search of the queue.
+        // Splits leave stale entries in the queue rather than search it for them.
         let is_fresh = self.long_edge(edge.corner) == edge;
         if is_fresh {
             self.split(edge.corner);

@@ -39,7 +39,7 @@ pub fn simplify(
     let mut mesh = EdgeCollapse::new(surface, targets);
     // A rejected collapse may become valid after its neighbourhood has changed, hence rounds.
     while !mesh.is_done() && mesh.collapse_round(watcher)? > 0 {}
-    // Some edges may be short still: holes shrink to three sides, which no collapse can close.
+    // Some edges may still be short: holes shrink to three sides, which no collapse can close.
     Ok(mesh.finish())
 }
 
@@ -355,7 +355,8 @@ impl EdgeCollapse {
 
     /// Adds what is known of a vertex to another, into which it is merged.
     fn absorb(&mut self, into: u32, removed: u32) {
-        // Above that of either, so that all candidates of both are stale.
+        // Only ever larger, so that older candidates of `into` are stale; those of `removed` are
+        // gone with it.
         let stamp = self.stamps_of(into, removed).wrapping_add(1);
         let (into, removed) = (into as usize, removed as usize);
         self.corner_of[removed] = BORDER;

@@ -47,7 +47,7 @@ impl WantedGsd {
     /// observe it. `gsd`: that of the scene.
     pub fn finest(scene: &Scene, gsd: f64, margin: f64) -> Self {
         // Local, so that triangles of a bust and of the wall behind cover about as many pixels:
-        // 1,900 in place of 38,700 on `statue`, where nearly all were on the wall.
+        // 1,900 triangles take the place of 38,700 on `statue`, nearly all of them on the wall.
         let points = usable_points(scene);
         let wanted = |&point: &PointIndex| {
             let finest = margin * finest_gsd(scene, point);

@@ -78,7 +78,7 @@ impl Patches {
 
     fn add(&mut self, surface: &Surface, chunk: &[u32]) {
         let used = vertices_of(surface, chunk);
-        // A patch has at most three vertices per triangle, 384.
+        // Fits u16: at most 384 vertices, three per triangle.
         let local = |v: u32| used.partition_point(|&u| u < v) as u16;
         let corners = chunk
             .iter()

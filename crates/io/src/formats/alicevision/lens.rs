@@ -79,7 +79,6 @@ impl Intrinsic {
     /// Pixels.
     fn principal_point(&self, version: &[u32]) -> Result<[f64; 2], Problem> {
         let [x, y] = self.principal_point.numbers("principalPoint")?;
-        // As lists of numbers: 1.2.11 is after 1.2.5.
         let from_centre = version >= &[1, 2, 1][..];
         Ok(shift(if from_centre {
             let (w, h) = (self.width.0 as f64, self.height.0 as f64);

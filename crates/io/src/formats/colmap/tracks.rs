@@ -314,7 +314,7 @@ impl ColmapPoint<'_> {
             let position = image_view.position as usize;
             let named = lists.points2d[position].get(element.index() as usize);
             match named {
-                // As in COLMAP, a track may claim a 2D point that is linked to no point.
+                // A track may claim a 2D point that is linked to no point.
                 Some(point2d) if point2d.point().is_none_or(|id| id == self.id) => {
                     each(image_view, element.index(), point2d)?;
                 }

@@ -1,4 +1,4 @@
-//! COLMAP's text model files (`cameras.txt`, `images.txt`, `points3D.txt`; since 4.0 `rigs.txt`,
+//! COLMAP's text model files (`cameras.txt`, `images.txt`, `points3D.txt`; since 3.12 `rigs.txt`,
 //! `frames.txt`): one line per record, two lines per image, fields separated by blanks; lines that
 //! begin with `#` are comments.
 //!

@@ -139,7 +139,6 @@ impl Terms {
                 [f + value("b1")?, f],
                 [w / 2.0 + value("cx")?, h / 2.0 + value("cy")?],
             ),
-            // As PhotoScan wrote it before 1.4.
             None => (
                 calibration.required(["fx", "fy"])?,
                 calibration.required(["cx", "cy"])?,
@@ -175,7 +174,6 @@ impl Terms {
         // Bounds at the corner r: k4 moves it by r⁹ at most, and r² + 2x² and 2xy are up to 3 r².
         let tangential =
             (p1.abs() + p2.abs()) * (p3.abs() * corner.powi(2) + p4.abs() * corner.powi(4));
-        // Metashape's p1 and p2 are OpenCV's p2 and p1.
         let (model, params) = brown([fx, fy, cx, cy], [k1, k2, k3], [p2, p1]);
         Projection {
             model,
@@ -190,7 +188,7 @@ impl Terms {
         Projection {
             model: CameraModel::OpenCvFisheye,
             params: [&self.focal[..], &self.centre, &self.k].concat(),
-            // A fisheye has the corner at its angle, not at the tangent of that.
+            // In a fisheye image the corner is at the angle, not at its tangent.
             left_out_px: 3.0 * fx * (p1.abs() + p2.abs()) * corner.atan().powi(2),
         }
     }

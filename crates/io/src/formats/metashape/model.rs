@@ -151,7 +151,7 @@ struct ChunkModel<'a> {
 impl<'a> ChunkModel<'a> {
     fn new(chunk: &'a Chunk, frame: Frame) -> Self {
         let cameras = chunk.cameras.iter();
-        // Of all cameras at first: a slave may come before its master.
+        // Collected before any is added: a slave may come before its master.
         let with_id = cameras.filter_map(|camera| Some((camera.id.as_deref()?, camera)));
         Self {
             chunk,

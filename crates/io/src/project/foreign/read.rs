@@ -162,7 +162,6 @@ fn read_micmac(folder: &Path) -> Result<ForeignModel, ProjectError> {
     for (n, (image, path)) in (1..).zip(oriented_by_micmac(folder)) {
         let oriented = micmac::read_orientation(&files::read(&path)?);
         let oriented = oriented.map_err(ProjectError::fault(&path))?;
-        // Read once, though each of its images names it.
         let known = calibrations
             .iter()
             .position(|known| *known == oriented.calibration);
@@ -181,7 +180,6 @@ fn read_micmac(folder: &Path) -> Result<ForeignModel, ProjectError> {
 fn add_calibration(foreign: &mut ForeignModel, path: &Path, id: u32) -> Result<(), ProjectError> {
     let read = micmac::read_calibration(&files::read(path)?, id);
     let (camera, off) = read.map_err(ProjectError::fault(path))?;
-    // Half a pixel is less than other errors of a camera.
     if off > 0.5 {
         let name = path.file_name().unwrap_or_default().display();
         let text = format!("{name}: COLMAP's nearest camera is off by up to {off:.1} pixels");

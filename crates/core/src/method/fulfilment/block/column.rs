@@ -57,7 +57,7 @@ impl<'a> PartnerView<'a> {
             let ray = [rays[0][i], rays[1][i], rays[2][i]];
             let along =
                 |axis: usize| r[(axis, 0)] * ray[0] + r[(axis, 1)] * ray[1] + r[(axis, 2)] * ray[2];
-            // Any number where the triangle is behind the partner, which does not see it then.
+            // Infinite or negative for triangles behind the partner, which it does not see.
             let inverse = 1.0 / along(2);
             let (x, y) = (along(0) * inverse, along(1) * inverse);
             for c in 0..3 {

@@ -155,7 +155,7 @@ fn nodes(
     mut capacities: Vec<Capacities>,
     watcher: &dyn Watcher,
 ) -> Result<Vec<Node>, Cancelled> {
-    // Zeroed pages take memory when they are written, by when capacities behind them are freed.
+    // Zeroed pages take memory only when written, by which time capacities behind them are freed.
     let mut nodes: Vec<Node> = bytemuck::zeroed_vec(cells.len());
     for block in blocks(cells.len()).rev() {
         watcher.check()?;
@@ -259,8 +259,7 @@ impl<'a> Search<'a> {
         let mut slot = 0;
         while slot < 4 {
             let node = &self.nodes[index as usize];
-            // The augmentation of an arc before may have freed the node or moved it to another
-            // level.
+            // Augmenting an earlier arc may have freed the node or moved it to another level.
             if node.tree != tree || node.level + 1 != level {
                 break;
             }

@@ -59,7 +59,7 @@ fn sorted_places(
             places.push(hilbert_key(&grid.snap(point)) << INDEX_BITS | places.len() as Place);
         }
     }
-    // By digits: `sort_unstable` would not hear of a cancellation before its end.
+    // Radix sort: `sort_unstable` could not be cancelled.
     sort(&mut places, &mut vec![0; points.len()], KEY_BITS, watcher)?;
     Ok(places)
 }
