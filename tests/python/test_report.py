@@ -652,3 +652,15 @@ def test_a_report_keeps_what_it_had_to_compute_again(viewrank, fixtures, tmp_pat
     shutil.rmtree(cache)
     viewrank("report", project, "--threads", "1", "--quiet")
     assert {file.name: file.read_bytes() for file in cache.iterdir()} == tables != {}
+
+
+def test_holes_on_a_regions_border_count_what_is_inside(viewrank, fixtures, tmp_path):
+    shutil.copytree(fixtures / "valley", tmp_path / "p")
+    region = tmp_path / "region.geojson"
+    region.write_text('{"type": "Polygon", "crs": null, "coordinates": [[[-1.5, -1.5], [1.5, -1.5], [1.5, 1.5], [-1.5, 1.5], [-1.5, -1.5]]]}')
+    # Too fine for all but some places, so that holes are most of the region.
+    viewrank("plan", tmp_path / "p", "--backend", "sgm", "--region", region, "--gsd", "0.005", "--report", "--quiet")
+    page = (tmp_path / "p/viewrank/report.html").read_text()
+    shown = json.loads(page.split('<script id="data" type="application/json">')[1].split("</script>")[0])
+    listed = sum(hole["area"] for hole in shown["holes"] if hole["triangles"])
+    assert 0.5 * shown["holes_area"] < listed <= shown["holes_area"]

@@ -329,3 +329,18 @@ pub(super) fn colmap_file(folder: &Path, stem: &str, format: ModelFormat) -> Pat
     };
     folder.join(format!("{stem}.{extension}"))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn blank_lines_before_an_image_are_no_list_of_points() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("images.txt");
+        let text = "# heading\n\n1 1 0 0 0 0 0 0 1 a b.jpg\n\n\n2 1 0 0 0 0 0 0 1 c.jpg\n0 0 -1\n";
+        std::fs::write(&path, text).unwrap();
+        let names = names_in_text(BufReader::new(File::open(path).unwrap()));
+        assert_eq!(names, ["a b.jpg", "c.jpg"]);
+    }
+}
