@@ -15,6 +15,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 SGM = ROOT / "integrations/sgm/sgm.py"
+SCALE = "0.3"
 
 
 @pytest.fixture(scope="module")
@@ -23,9 +24,9 @@ def matched(tmp_path_factory, viewrank, fixtures):
     folder = tmp_path_factory.mktemp("evaluate")
     project = folder / "valley"
     shutil.copytree(fixtures / "valley", project)
-    (project / "viewrank.toml").write_text("image_scale = 0.3\n")
+    (project / "viewrank.toml").write_text(f"image_scale = {SCALE}\n")
     viewrank("plan", project, "--backend", "sgm", "--quiet")
-    match = [sys.executable, SGM, "match", project, "--cache", folder / "pairs", "--image-scale", "0.3"]
+    match = [sys.executable, SGM, "match", project, "--cache", folder / "pairs", "--image-scale", SCALE]
     clusters = (project / "viewrank/clusters.txt").read_text().splitlines()[:12]
     (folder / "clusters.txt").write_text("\n".join(clusters) + "\n")
     subprocess.run([*match, "--out", folder / "maps", "--clusters", folder / "clusters.txt"], check=True)
@@ -146,11 +147,11 @@ def test_maps_of_two_sizes_are_told_apart(matched, viewrank):
     name = {view["name"].rsplit("/")[-1]: view["scale"] for view in found["key_views"]}
     assert sorted(name.values()) == [0.5] + [1] * (len(paths) - 2)
     assert f"{len(paths) - 1} depth maps, 1 of them at half the size" in done.stdout and "1 at half the size" in (out / "evaluation.html").read_text()
-    assert len(found["other_sizes"]) == 1 and f"left out: 1 depth map of neither the size that image_scale = 0.5 gives nor half of it, the first of {found['other_sizes'][0]}" in done.stderr
+    assert len(found["other_sizes"]) == 1 and f"left out: 1 depth map of neither the size that image_scale = {SCALE} gives nor half of it, the first of {found['other_sizes'][0]}" in done.stderr
     only = made(matched / "other-size/depth_maps/x").parent
     shutil.copy(mixed / paths[1].name, only)
     refused = viewrank("evaluate", matched / "valley", "--depth-maps", only.parent, expect=1)
-    assert "has the size that image_scale = 0.5 gives" in refused.stderr and "viewrank.toml" in refused.stderr
+    assert f"has the size that image_scale = {SCALE} gives" in refused.stderr and "viewrank.toml" in refused.stderr
 
 
 def write_npy(folder, number, name, ids, depth):
@@ -222,7 +223,7 @@ def test_rules_are_written_for_the_matcher_and_compared(matched, viewrank):
         folder = rules / "k2" / name
         head = (folder / "clusters.txt").read_text().splitlines()[:3]
         (folder / "clusters.txt").write_text("\n".join(head) + "\n")
-        subprocess.run([sys.executable, SGM, "match", matched / "valley", "--cache", matched / "pairs", "--image-scale", "0.5", "--out", folder, "--clusters", folder / "clusters.txt"], check=True)
+        subprocess.run([sys.executable, SGM, "match", matched / "valley", "--cache", matched / "pairs", "--image-scale", SCALE, "--out", folder, "--clusters", folder / "clusters.txt"], check=True)
     compared = subprocess.run([bench, "compare", matched / "valley", rules, "--reference", matched / "reference", "--json"], check=True, stdout=subprocess.PIPE)
     rows = json.loads(compared.stdout)
     assert [row["name"] for row in rows] == ["k2/maxcon", "k2/ours"]
