@@ -1,6 +1,6 @@
-//! Shared code of the fuzz targets and of `tests/slow/fuzz_readers.rs`: replaces one file of a small
-//! valid model by the fuzzer's bytes, and checks that a model that can be read is consistent and
-//! round-trips.
+//! Shared code of the fuzz targets and of `tests/slow/fuzz_readers.rs`: replaces one file of a
+//! small valid model by the fuzzer's bytes, and checks that a model that can be read is consistent
+//! and round-trips.
 
 use viewrank_core::model::scene::Scene;
 use viewrank_io::{

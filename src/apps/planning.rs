@@ -46,8 +46,8 @@ pub fn undistorted_workspace(
     Ok(workspace.read_scene().is_ok_and(fits).then_some(workspace))
 }
 
-/// Returns whether a scene has the views of another in the same poses. OpenSfM adds the extension of
-/// the undistorted images to the names (`a.jpg.tif`).
+/// Returns whether a scene has the views of another in the same poses. OpenSfM adds the extension
+/// of the undistorted images to the names (`a.jpg.tif`).
 fn is_of_same_images(undistorted: &Scene, scene: &Scene) -> bool {
     let is_same = |(there, here): (&View, &View)| {
         let added = there.name.strip_prefix(&*here.name);

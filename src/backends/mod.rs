@@ -121,8 +121,8 @@ pub struct Backend {
     pub mixes_sizes: bool,
     /// How `viewrank run` computes its depth maps; `None` if the program can only run as a whole.
     pub tasks: Option<Tasks>,
-    /// Looks at the folder of its depth maps; returns whether one below was made for the plan that was
-    /// exported there. Where only exports write, all are.
+    /// Looks at the folder of its depth maps; returns whether one below was made for the plan that
+    /// was exported there. Where only exports write, all are.
     pub known_maps: fn(&Path) -> KnownMaps,
     /// Faults of a project that break the backend with any plan, besides distorted cameras.
     pub traps: fn(&ExaminedProject) -> Vec<Trap>,

@@ -1,7 +1,7 @@
 //! ODX, the engine of WebODM since 2026, and OpenDroneMap's ODM, from which it comes:
-//! `docs/backends.md` 11. Read, not run. They keep an existing `openmvs/scene.mvs`; in ours each key
-//! view shares points with its partners only, and every other image is too poorly connected to be
-//! computed.
+//! `docs/backends.md` 11. Read, not run. They keep an existing `openmvs/scene.mvs`; in ours each
+//! key view shares points with its partners only, and every other image is too poorly connected to
+//! be computed.
 
 use std::path::{Path, PathBuf};
 

@@ -109,7 +109,8 @@ impl<'a> Call<'a> {
         }
     }
 
-    /// Returns a link to a file that a task has made there. A link in its place may be a stranger's.
+    /// Returns a link to a file that a task has made there. A link in its place may be a
+    /// stranger's.
     pub fn made(&self, name: &str) -> Result<Contents, String> {
         if paths::is_outside(&self.workplace.join(name), self.workplace) {
             return Err(format!("{name}: a link out of the export: remove it"));

@@ -531,15 +531,15 @@ pub fn observers(
 /// Number of key views that a fusion compares with one: all that share points would take long.
 pub const FUSED_WITH: usize = 24;
 
-/// Returns those of `others`, best first, that are among the [`FUSED_WITH`] best for key view `i` in
-/// the fusion of some number of first maps. A script takes the first of them that have a map. The
-/// best of all would not do: few of them are among the first maps of a dense video, and a map that
-/// is compared with few others gives few points.
+/// Returns those of `others`, best first, that are among the [`FUSED_WITH`] best for key view `i`
+/// in the fusion of some number of first maps. A script takes the first of them that have a map.
+/// The best of all would not do: few of them are among the first maps of a dense video, and a map
+/// that is compared with few others gives few points.
 pub fn fused_with(i: usize, others: &[usize]) -> Vec<usize> {
     let mut kept: Vec<usize> = Vec::new();
     for &other in others {
-        // The first fusion with both maps: later ones have better ones besides. One that is not kept
-        // has enough better ones that come no later, so that it need not be counted.
+        // The first fusion with both maps: later ones have better ones besides. One that is not
+        // kept has enough better ones that come no later, so that it need not be counted.
         let last = i.max(other);
         if kept.iter().filter(|&&better| better <= last).count() < FUSED_WITH {
             kept.push(other);

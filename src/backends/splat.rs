@@ -7,9 +7,9 @@
 //! model in the folder; nerfstudio requires all of its lists.
 //!
 //! Images kept for tests are listed for nerfstudio, whose model must have them. The others hold out
-//! every n-th image, if any: gaussian-splatting with `--eval` (its `test.txt` is read with `llffhold`
-//! 0 only, for which it has no option), brush and LichtFeld likewise. For them `train/` is a
-//! workspace without the test images.
+//! every n-th image, if any: gaussian-splatting with `--eval` (its `test.txt` is read with
+//! `llffhold` 0 only, for which it has no option), brush and LichtFeld likewise. For them `train/`
+//! is a workspace without the test images.
 
 use std::collections::HashMap;
 

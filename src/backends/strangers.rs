@@ -1,5 +1,5 @@
-//! Shell functions that all exported scripts share: a script restarts itself under a fixed name, and
-//! refuses links, pipes and the like that somebody else has put into its folder.
+//! Shell functions that all exported scripts share: a script restarts itself under a fixed name,
+//! and refuses links, pipes and the like that somebody else has put into its folder.
 
 use super::ExportRecord;
 use crate::io::output::{Contents, FileSet};
@@ -31,8 +31,8 @@ pub fn add_runner(files: &mut FileSet, record: &mut ExportRecord) {
     name_links_in_scripts(files);
 }
 
-/// Puts the links of an export, as `find .` names them, where its script has the line `@LINKS@`: any
-/// other is refused. In a list of their own somebody could add to them.
+/// Puts the links of an export, as `find .` names them, where its script has the line `@LINKS@`:
+/// any other is refused. In a list of their own somebody could add to them.
 pub fn name_links_in_scripts(files: &mut FileSet) {
     let is_link = |(path, contents): (&String, &Contents)| {
         // With a line break it would be two lines, of which one may name somebody else's link.

@@ -99,8 +99,8 @@ const ADVICE: [(&str, &str); 4] = [
     ),
 ];
 
-/// Returns the value of a setting that is a number if it can be: the settings say what is wrong with
-/// another one.
+/// Returns the value of a setting that is a number if it can be: the settings say what is wrong
+/// with another one.
 pub fn number(typed: &str) -> toml::Value {
     typed
         .parse()

@@ -170,7 +170,8 @@ struct Job<'a> {
 }
 
 impl Job<'_> {
-    /// Writes the export, and submits the tasks to the queue, if there is one; neither in a dry run.
+    /// Writes the export, and submits the tasks to the queue, if there is one; neither in a dry
+    /// run.
     fn submit(&self, exported: FileSet) -> Result<Submission, Failure> {
         let request = Request {
             dispatch: &self.dispatch,

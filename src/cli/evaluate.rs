@@ -77,7 +77,8 @@ pub struct Arguments {
     #[arg(long, value_name = "DIR", value_parser = super::arguments::folder(), requires = "depth_maps")]
     half_size: Option<PathBuf>,
     /// Also compare the order with others by each triangle (with --depth-maps): without prediction,
-    /// updated by results, replanned, most sparse points, every n-th, farthest view, random, optimum
+    /// updated by results, replanned, most sparse points, every n-th, farthest view, random,
+    /// optimum
     #[arg(long, requires = "depth_maps")]
     baselines: bool,
 

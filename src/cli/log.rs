@@ -20,8 +20,8 @@ pub enum LogFormat {
     Json,
 }
 
-/// Starts the log. RUST_LOG sets the level, as `debug` or `viewrank=debug`; under systemd the journal
-/// adds the times.
+/// Starts the log. RUST_LOG sets the level, as `debug` or `viewrank=debug`; under systemd the
+/// journal adds the times.
 #[expect(clippy::disallowed_methods, reason = "values are escaped")]
 pub fn start(format: LogFormat) {
     let wanted: Option<Targets> = env::var("RUST_LOG").ok().and_then(|text| text.parse().ok());

@@ -327,8 +327,8 @@ fn planned(
     Ok(plan)
 }
 
-/// Returns what tells depth maps in a folder from those that other programs than the plan's have made
-/// in the project, which do not count; `None`, with none of these. Names them.
+/// Returns what tells depth maps in a folder from those that other programs than the plan's have
+/// made in the project, which do not count; `None`, with none of these. Names them.
 fn not_of_others(plan: &Plan, project: &Project, folder: &Path) -> Option<KnownMaps> {
     let backend = plan.stages.backend;
     let others = depthmaps::folders_of_others(&project.home, backend);
@@ -447,9 +447,9 @@ fn kept_test_every(home: &Path, settings: &Settings) -> Option<u32> {
     settings.test_every.or_else(kept)
 }
 
-/// Returns the folder of the depth maps that were made for the plan that this one replaces, with that
-/// plan and a test for its maps: without them, nobody would know their partners, or that their views
-/// have moved. Warns of maps whose plan is lost.
+/// Returns the folder of the depth maps that were made for the plan that this one replaces, with
+/// that plan and a test for its maps: without them, nobody would know their partners, or that their
+/// views have moved. Warns of maps whose plan is lost.
 fn own_maps(plan: &Plan, project: &Project) -> Option<(PathBuf, EarlierPlan, Option<KnownMaps>)> {
     let is_same = planned_backend(project).is_some_and(|name| name == plan.stages.backend);
     let folder = own_folder_of_maps(plan, project).filter(|folder| folder.is_dir())?;

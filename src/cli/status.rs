@@ -251,8 +251,8 @@ fn maps_of_run(home: &Path, backend: &str) -> Option<BTreeSet<PathBuf>> {
     Some(maps.collect())
 }
 
-/// Says of finished depth maps that the plan was made around and that are not there that they do not
-/// count.
+/// Says of finished depth maps that the plan was made around and that are not there that they do
+/// not count.
 fn elsewhere(plan: &PlannedMaps, there: usize) -> Option<String> {
     let (finished, _) = plan.finished?;
     let gone = finished.checked_sub(there).filter(|gone| *gone > 0)?;

@@ -91,8 +91,8 @@ pub struct Summary<'a> {
     /// Use of the images, for a backend that matches none.
     #[serde(skip)]
     use_of_views: Option<&'static str>,
-    /// Share of the surface that no view cluster fulfils, where it is more than the rim; if a region
-    /// or a resolution was asked for and depth maps are made.
+    /// Share of the surface that no view cluster fulfils, where it is more than the rim; if a
+    /// region or a resolution was asked for and depth maps are made.
     #[serde(skip)]
     missed: Option<f64>,
 }

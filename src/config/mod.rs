@@ -71,8 +71,8 @@ pub struct Settings {
     /// found.
     pub images: Option<PathBuf>,
     /// Keeps every n-th view by name, from the first, apart for tests: of programs that use the
-    /// images themselves, such as "splat" (method 5.10). 0: none. Unset: those that the model names,
-    /// if any.
+    /// images themselves, such as "splat" (method 5.10). 0: none. Unset: those that the model
+    /// names, if any.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[serde(deserialize_with = "some_views")]
     #[schemars(extend("unit" = "views"))]
@@ -90,8 +90,8 @@ pub struct Settings {
     pub forecast: ForecastSettings,
     pub dispatch: DispatchSettings,
     pub frame: FrameSettings,
-    /// Mesh and region as the user, or the file of the watched folder, has named them, not a project's
-    /// file or its plan.
+    /// Mesh and region as the user, or the file of the watched folder, has named them, not a
+    /// project's file or its plan.
     #[serde(skip)]
     pub named: Vec<PathBuf>,
     /// Those that were typed, now or for the plan that this one goes on from.
@@ -108,8 +108,8 @@ fn some_views<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<u32>,
 }
 
 impl Settings {
-    /// Returns whether errors may quote the mesh or the region: it is in the project, which may be a
-    /// stranger's, or the user has named it, by no link of the project.
+    /// Returns whether errors may quote the mesh or the region: it is in the project, which may be
+    /// a stranger's, or the user has named it, by no link of the project.
     pub fn may_quote(&self, file: &Path, project: &Path) -> bool {
         // A path below the project that ends outside of it goes through one of its links.
         let is_through_project = || {

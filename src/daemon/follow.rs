@@ -55,9 +55,9 @@ pub struct Progress {
     /// Number of key views up to the plan's cut, plus those beyond it that already have a depth
     /// map.
     pub clusters: usize,
-    /// Estimated share of the result of all clusters: weight that fusion keeps of all finished depth
-    /// maps, measured, over what it is expected to keep of all (`kept` over `reachable`), 0 to 1; null where they are only counted (`note` says
-    /// why).
+    /// Estimated share of the result of all clusters: weight that fusion keeps of all finished
+    /// depth maps, measured, over what it is expected to keep of all (`kept` over `reachable`), 0
+    /// to 1; null where they are only counted (`note` says why).
     pub share: Option<f64>,
     /// True if only what is inside a region counts.
     pub has_region: bool,
@@ -260,8 +260,8 @@ pub(super) fn failed(error: impl Hint) -> Outcome {
     }
 }
 
-/// Returns the folder of the program's depth maps, if it holds some of these. Maps of other programs
-/// do not count for its plan.
+/// Returns the folder of the program's depth maps, if it holds some of these. Maps of other
+/// programs do not count for its plan.
 pub(super) fn own_folder(project: &Project, backend: &str, files: &MapFiles) -> Option<PathBuf> {
     let folder = project.folder_of_maps(backend)?;
     files

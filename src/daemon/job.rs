@@ -257,7 +257,8 @@ impl PlanJob {
             .map_err(unreadable)
     }
 
-    /// Returns whether there are depth maps of the plan's program, also such as have not settled yet.
+    /// Returns whether there are depth maps of the plan's program, also such as have not settled
+    /// yet.
     fn has_maps(&self, job: &Job) -> StepResult<bool> {
         let found = if self.options.is_run {
             map_files_inside(job.project)

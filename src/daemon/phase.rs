@@ -107,8 +107,8 @@ pub enum Phase {
 }
 
 impl Phase {
-    /// The same phase without the middle of long texts: the status has those of all projects, and is
-    /// read up to a limit.
+    /// The same phase without the middle of long texts: the status has those of all projects, and
+    /// is read up to a limit.
     pub fn shortened(mut self) -> Self {
         let texts: Vec<&mut String> = match &mut self {
             Self::Waiting { reason } | Self::Queued { reason } => vec![reason],

@@ -52,8 +52,8 @@ fn from_images(project: &Project, scene: &Scene) -> Option<Georeference> {
     Georeference::fitted(&centres, &positions)
 }
 
-/// Returns the cameras of the images that say where on earth they were taken, scene units, and where
-/// that was; of a part of the images, if there are many.
+/// Returns the cameras of the images that say where on earth they were taken, scene units, and
+/// where that was; of a part of the images, if there are many.
 pub fn positions_in_images(project: &Project, scene: &Scene) -> (Vec<Vector3<f64>>, Vec<Geodetic>) {
     let Some(folder) = project.images.as_ref() else {
         return Default::default();

@@ -393,8 +393,8 @@ impl Step for ClustersStep<'_> {
     }
 }
 
-/// Returns the places that a pilot finds, if there are maps or pictures to find them in. `support`: maps
-/// that fusion wants to agree.
+/// Returns the places that a pilot finds, if there are maps or pictures to find them in. `support`:
+/// maps that fusion wants to agree.
 pub(super) fn pilot(
     inputs: &Inputs,
     clusters: &Filed<CachedClusters>,

@@ -1,7 +1,7 @@
 //! What a stranger may plant in a project folder or a watched root, against the program itself:
 //! nothing outside is changed, nothing of the user's is lost, nothing is waited for, and no plan is
-//! stale. `tests/it/output/strangers.rs` and `tests/it/daemon_loop/` have the same for the library, with
-//! every file of ours and every step of a change.
+//! stale. `tests/it/output/strangers.rs` and `tests/it/daemon_loop/` have the same for the library,
+//! with every file of ours and every step of a change.
 //!
 //! Tests that need an ordinary user's rights are ignored; run them as one: `cargo test --test it
 //! attacks:: -- --include-ignored`.

@@ -38,7 +38,8 @@ const ALL: [&str; 7] = [
     "clusters",
     "ranking",
 ];
-/// Settings that no plan reads, or that name a folder which the tests lack (pilot.rs has small maps).
+/// Settings that no plan reads, or that name a folder which the tests lack (pilot.rs has small
+/// maps).
 const NO_PART_OF_A_PLAN: [&str; 3] = ["on_target", "images", "pilot.maps"];
 
 fn town() -> Scene {

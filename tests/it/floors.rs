@@ -1,5 +1,5 @@
-//! The floors inside the crates, whose own order the compiler holds: each folder of `src/` uses only
-//! those below it, and so does each section of the method (`ARCHITECTURE.md`).
+//! The floors inside the crates, whose own order the compiler holds: each folder of `src/` uses
+//! only those below it, and so does each section of the method (`ARCHITECTURE.md`).
 
 use std::{
     collections::BTreeSet,

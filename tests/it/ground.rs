@@ -71,7 +71,8 @@ fn what_the_photographs_miss_of_a_region_is_said_first() {
     assert!(warned.contains(&missed), "{warned}");
     let (code, found, _) = said(&viewrank(&["doctor", folder.path().to_str().unwrap()]));
     assert!(code == 3 && found.contains(&percent), "{found}");
-    // What was missed comes first, then the depth maps; of files that are not there nothing is said.
+    // What was missed comes first, then the depth maps; of files that are not there nothing is
+    // said.
     let next = stdout.find("Next, what was missed").unwrap();
     assert!(
         stdout[next..].contains("\nThen: ") && stdout[next..].contains("viewrank report"),

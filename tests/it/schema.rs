@@ -1,6 +1,7 @@
 //! The schemas in the repository are those of the program.
 //!
-//! After a change of a format or of a setting: `VIEWRANK_WRITE_SCHEMA=1 cargo test --test it schema::`.
+//! After a change of a format or of a setting: `VIEWRANK_WRITE_SCHEMA=1 cargo test --test it
+//! schema::`.
 
 use std::{env, fs, path::Path};
 

@@ -1,6 +1,7 @@
 //! Somebody who may write in a watched root exchanges a folder of it for a link to that of another
 //! root, again and again, while the program watches, plans or exports: nothing changes in the other
-//! one. `tests/it/output/races.rs` has the same for the library, before each single change of a file.
+//! one. `tests/it/output/races.rs` has the same for the library, before each single change of a
+//! file.
 //!
 //! 9 runs by default, one for each folder; VIEWRANK_RACES sets another number.
 #![cfg(unix)]

@@ -12,7 +12,8 @@ use serde_json::value::RawValue;
 /// Beginning of the error of a list or an object that is too long.
 pub(crate) const MORE_THAN: &str = "more than";
 
-/// Reads a list of at most `MOST` elements (`#[serde(deserialize_with = "bounded::list::<_, _, 20>")]`).
+/// Reads a list of at most `MOST` elements (`#[serde(deserialize_with = "bounded::list::<_, _,
+/// 20>")]`).
 pub fn list<'de, D: Deserializer<'de>, T: Deserialize<'de>, const MOST: usize>(
     deserializer: D,
 ) -> Result<Vec<T>, D::Error> {

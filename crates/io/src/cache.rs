@@ -160,8 +160,8 @@ impl CacheFile {
         set
     }
 
-    /// Returns the set whose writing removes the file, which is of other inputs; of a user without a
-    /// key, one that leaves the files of others alone.
+    /// Returns the set whose writing removes the file, which is of other inputs; of a user without
+    /// a key, one that leaves the files of others alone.
     pub fn no_file(&self) -> FileSet {
         if self.key.is_none() {
             return FileSet::new(&self.home, "none");

@@ -194,8 +194,8 @@ enum Entry<'a> {
     Shape(Vec<u64>),
 }
 
-/// Reads the dictionary of a header; an error is the offset at which it isn't one. As in Python, the
-/// last value of a key counts.
+/// Reads the dictionary of a header; an error is the offset at which it isn't one. As in Python,
+/// the last value of a key counts.
 fn dictionary(text: &str) -> Result<Header<'_>, usize> {
     let entries = separated_list1(symbol(','), entry);
     let entries = delimited(symbol('{'), entries, (opt(symbol(',')), symbol('}')));

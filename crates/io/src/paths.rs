@@ -59,8 +59,8 @@ pub fn is_outside(file: &Path, folder: &Path) -> bool {
     !real(file).starts_with(real(folder))
 }
 
-/// The path as it is typed most briefly in the working folder: one that is absolute, or leads up and
-/// down, becomes relative where that is shorter, unless it would look like an option.
+/// The path as it is typed most briefly in the working folder: one that is absolute, or leads up
+/// and down, becomes relative where that is shorter, unless it would look like an option.
 pub fn from_here(path: &Path) -> PathBuf {
     let is_plain = |part| matches!(part, Component::Normal(_));
     let Ok(here) = std::env::current_dir() else {

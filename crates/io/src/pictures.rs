@@ -268,7 +268,8 @@ impl PictureFolders {
     }
 
     /// The masks that an image may have: the one that the model names, and in each folder
-    /// `a.jpg.png` or `a.png` for `a.jpg`, and the same for the name of its file if that is another.
+    /// `a.jpg.png` or `a.png` for `a.jpg`, and the same for the name of its file if that is
+    /// another.
     fn mask_files(&self, name: &str) -> impl Iterator<Item = PathBuf> {
         let file = self
             .images

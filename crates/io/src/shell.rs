@@ -36,15 +36,15 @@ pub fn sh_word(word: &str) -> String {
     }
 }
 
-/// Quotes a word with characters that are escaped where they are shown, so that what is typed is the
-/// same word. `$'...'` is not in all shells, and means something else in those without it.
+/// Quotes a word with characters that are escaped where they are shown, so that what is typed is
+/// the same word. `$'...'` is not in all shells, and means something else in those without it.
 fn with_escapes(word: &str) -> String {
     let escaped = word.bytes().map(|byte| match byte {
         byte if byte.is_ascii_alphanumeric() || b"/._ ".contains(&byte) => char::from(byte).into(),
         byte => format!("\\{byte:03o}"),
     });
-    // `$(...)` drops line breaks at the end. With a slash behind them, a folder's name is the same, and
-    // that of a file names nothing.
+    // `$(...)` drops line breaks at the end. With a slash behind them, a folder's name is the same,
+    // and that of a file names nothing.
     let end = if word.ends_with('\n') { "/" } else { "" };
     format!("\"$(printf '{}{end}')\"", escaped.collect::<String>())
 }

@@ -1,11 +1,11 @@
 //! The view clusters of a plan as tasks, one per rank, for `viewrank run` and for queues.
 //!
 //! `done/MARKER` in the export holds the id of the cluster that a depth map was made for, also of
-//! one that the export's script made. `PROJECT/viewrank/dispatch/NAME` has the other records: `fused`
-//! with the ids joined last, `locks/`, and the `logs/` of a queue. An id
-//! covers a key view with its partners, their cameras and poses, so a changed plan recomputes only
-//! changed clusters. Missing work is derived from these files alone; [`runner`] does it, here or on
-//! a node, and [`slurm`] knows which of it is queued.
+//! one that the export's script made. `PROJECT/viewrank/dispatch/NAME` has the other records:
+//! `fused` with the ids joined last, `locks/`, and the `logs/` of a queue. An id covers a key view
+//! with its partners, their cameras and poses, so a changed plan recomputes only changed clusters.
+//! Missing work is derived from these files alone; [`runner`] does it, here or on a node, and
+//! [`slurm`] knows which of it is queued.
 
 pub mod runner;
 pub mod slurm;
@@ -522,8 +522,8 @@ pub enum DispatchError {
     Target { wanted: Share, planned: Share },
 }
 
-/// Offers the matcher that comes with viewrank, where it would run. Its own program is never missing
-/// unless somebody named another.
+/// Offers the matcher that comes with viewrank, where it would run. Its own program is never
+/// missing unless somebody named another.
 fn or_sgm() -> &'static str {
     let runs_here = backends::by_name("sgm").is_ok_and(backends::can_match_here);
     if runs_here {

@@ -69,8 +69,8 @@ pub struct Evaluation {
     pub key_views: Vec<KeyView>,
     /// Key views without a depth map; they are excluded from everything above.
     pub without_map: Vec<String>,
-    /// Key views whose depth map has neither the planned size nor half of it; they are excluded from
-    /// everything above.
+    /// Key views whose depth map has neither the planned size nor half of it; they are excluded
+    /// from everything above.
     pub other_sizes: Vec<String>,
     /// Key views whose depth map was made with other partners than planned.
     pub other_partners: Vec<String>,

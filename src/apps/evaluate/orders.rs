@@ -61,8 +61,8 @@ pub fn real_update(
     )
 }
 
-/// Returns the order in which always the cluster with the largest `gain` is taken next, the first of
-/// equals. Both work on the state.
+/// Returns the order in which always the cluster with the largest `gain` is taken next, the first
+/// of equals. Both work on the state.
 fn best_first<S>(
     clusters: usize,
     mut state: S,

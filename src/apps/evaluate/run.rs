@@ -84,7 +84,8 @@ pub struct EvaluationInput<'a> {
     /// The clusters, in the order in which they were to be computed.
     pub clusters: &'a [ViewCluster],
     pub depth_maps: &'a Path,
-    /// Returns whether a map was made for the plan; of two maps of a view, one that was is measured.
+    /// Returns whether a map was made for the plan; of two maps of a view, one that was is
+    /// measured.
     pub known: KnownMaps,
     /// Number of clusters that the plan counts as finished: of the others, only known maps are
     /// measured. `None`: all maps are.

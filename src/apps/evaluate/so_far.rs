@@ -19,7 +19,8 @@ pub struct MeasuredProgress {
     /// Weight that fusion keeps of the finished maps, 0 to 1.
     pub kept: f64,
     /// Weight that fusion keeps of all clusters of the plan at full size, 0 to 1: measured if
-    /// finished, else as the pilot shows it (method 5.9) or predicted in the light of failures (5.4).
+    /// finished, else as the pilot shows it (method 5.9) or predicted in the light of failures
+    /// (5.4).
     pub reachable: f64,
     /// `kept` over `reachable`; null where nothing can be kept.
     pub share: Option<f64>,
@@ -114,13 +115,14 @@ fn planned(stages: &Stages, key: ViewIndex) -> Option<usize> {
         .ok()
 }
 
-/// For each place and triangle, the number of finished maps in which the pilot expects it, how many of
-/// these keep it, and in how many of the maps to come the pilot expects it.
+/// For each place and triangle, the number of finished maps in which the pilot expects it, how many
+/// of these keep it, and in how many of the maps to come the pilot expects it.
 ///
-/// Maps keep a place with a probability that differs from place to place: a white wall fails in every
-/// map, a blurred edge in some. The probability is taken as beta distributed over the places; mean and
-/// spread come from the finished maps, and their results at a place update it there (a beta-binomial
-/// model). What a single map of the pilot shows has a distribution of its own: most of it is chance.
+/// Maps keep a place with a probability that differs from place to place: a white wall fails in
+/// every map, a blurred edge in some. The probability is taken as beta distributed over the places;
+/// mean and spread come from the finished maps, and their results at a place update it there (a
+/// beta-binomial model). What a single map of the pilot shows has a distribution of its own: most
+/// of it is chance.
 struct PlaceRecord<'a> {
     objective: &'a Objective,
     /// Probability that fusion keeps anything there, before any map is finished.

@@ -131,8 +131,8 @@ pub struct MapFolder<'a> {
     pub folder: &'a Path,
     /// Returns whether the file is completely written.
     pub ready: &'a (dyn Fn(&Path) -> bool + Sync),
-    /// Returns whether the map was made for the earlier plan. One that this counts as finished is taken
-    /// anyhow.
+    /// Returns whether the map was made for the earlier plan. One that this counts as finished is
+    /// taken anyhow.
     pub known: &'a (dyn Fn(&Path) -> bool + Sync),
 }
 

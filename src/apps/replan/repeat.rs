@@ -16,8 +16,8 @@ use crate::{
     show::manifest::{RecordedPlan, WrittenPlanError, warnings_with},
 };
 
-/// Repeats the plan of the folder's own `viewrank/manifest.json`, by prediction alone (finished depth
-/// maps are ignored).
+/// Repeats the plan of the folder's own `viewrank/manifest.json`, by prediction alone (finished
+/// depth maps are ignored).
 pub fn repeat(root: &Path, watcher: &dyn Watcher) -> Result<(Project, Plan), RepeatError> {
     let (project, plan, _) = predicted(RecordedPlan::open_here(root)?, watcher)?;
     Ok((project, plan))

@@ -92,8 +92,8 @@ pub fn known(depth_maps: &Path) -> KnownMaps {
     })
 }
 
-/// Returns the content of the mark that a map has if it was made at full size, where it would do for
-/// the plan, too.
+/// Returns the content of the mark that a map has if it was made at full size, where it would do
+/// for the plan, too.
 fn ids_at_full_size(workspace: &Path, depth_maps: &Path) -> HashMap<PathBuf, String> {
     let run = output::read_own(workspace, RUN, FileKind::Plan).unwrap_or_default();
     let maps = serde_json::from_slice::<Run>(&run).map(|run| run.maps);

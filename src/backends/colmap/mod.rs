@@ -56,9 +56,9 @@ mod run;
 mod traps;
 mod widths;
 
-/// Maps that must agree on a point. COLMAP's default of 5 gives 40 to 74 % of the surface that 2 does,
-/// 3 to 12 points more accurate (docs/benchmarks.md), and how many maps see a place depends on the
-/// plan.
+/// Maps that must agree on a point. COLMAP's default of 5 gives 40 to 74 % of the surface that 2
+/// does, 3 to 12 points more accurate (docs/benchmarks.md), and how many maps see a place depends
+/// on the plan.
 const MIN_PIXELS: usize = 2;
 /// Folder of viewrank's own files in the workspace.
 const OWN: &str = "stereo/viewrank/";
@@ -724,8 +724,8 @@ fn map_folders<'a>(problems: impl Iterator<Item = &'a Problem>) -> Vec<String> {
     subfolders.iter().flat_map(folder).collect()
 }
 
-/// Returns a name of a workspace's model, where COLMAP goes by it, as the path that it leads to: without
-/// `.` and empty parts.
+/// Returns a name of a workspace's model, where COLMAP goes by it, as the path that it leads to:
+/// without `.` and empty parts.
 fn as_path(name: &str) -> String {
     let is_separator = |c: char| c == '/' || cfg!(windows) && c == '\\';
     let parts: Vec<&str> = name

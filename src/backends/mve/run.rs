@@ -1,8 +1,8 @@
 //! The tasks of an export: `run.json`, and how dmrecon and scene2pset compute what it lists.
 //!
-//! dmrecon ends with 0 for an empty map, and writes into the view's folder. So each map is made in a
-//! scene of its own, of links to the views of its cluster, and moved to its place if it is whole. A
-//! cloud is made in such a scene too, with links to the finished maps.
+//! dmrecon ends with 0 for an empty map, and writes into the view's folder. So each map is made in
+//! a scene of its own, of links to the views of its cluster, and moved to its place if it is whole.
+//! A cloud is made in such a scene too, with links to the finished maps.
 
 use std::{ffi::OsString, path::Path};
 
@@ -80,7 +80,8 @@ impl Row {
         (self.level > 0).then(|| format!("{}/undist-L{}.png", self.view, self.level))
     }
 
-    /// Files that dmrecon writes for the view. The depth map comes last: once it is in place, all is.
+    /// Files that dmrecon writes for the view. The depth map comes last: once it is in place, all
+    /// is.
     fn made(&self) -> impl Iterator<Item = String> {
         self.reduced_picture().into_iter().chain([self.map()])
     }

@@ -96,8 +96,8 @@ pub fn export(
 
 /// The run that matches the lists.
 struct Densify {
-    /// OpenMVS keeps every depth map in its working folder, even of other scenes: so each scene, with
-    /// its lists and the size of its images, has a folder of its own.
+    /// OpenMVS keeps every depth map in its working folder, even of other scenes: so each scene,
+    /// with its lists and the size of its images, has a folder of its own.
     work: String,
     size: u32,
 }

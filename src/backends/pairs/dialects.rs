@@ -19,12 +19,12 @@ pub(super) struct Dialect {
     pub all_are_problems: bool,
     /// True for readers of tuples: `tuples.txt`, a line for each key view.
     pub tuples: bool,
-    /// Makes the depth maps of one size, if the program is known. With INPUT (folder of that size below the export), VIEWS
-    /// (partners and key view), PARTNERS, WIDTH and HEIGHT (no image is smaller), SIZE
-    /// (PatchmatchNet's option where images are reduced).
+    /// Makes the depth maps of one size, if the program is known. With INPUT (folder of that size
+    /// below the export), VIEWS (partners and key view), PARTNERS, WIDTH and HEIGHT (no image is
+    /// smaller), SIZE (PatchmatchNet's option where images are reduced).
     pub depth: Option<&'static str>,
-    /// Joins the maps of the list in `fuse/`, all of one size; `None` if the command above does. With
-    /// AGREEING (partners that must agree), SIZE.
+    /// Joins the maps of the list in `fuse/`, all of one size; `None` if the command above does.
+    /// With AGREEING (partners that must agree), SIZE.
     pub fusion: Option<&'static str>,
 }
 

@@ -16,8 +16,8 @@ use crate::{
     },
 };
 
-/// A key view and others, best first, each with the number of points that they share; views by their
-/// numbers in the files.
+/// A key view and others, best first, each with the number of points that they share; views by
+/// their numbers in the files.
 #[derive(Clone, Serialize, Deserialize)]
 pub(super) struct Entry {
     pub key: u32,
@@ -50,8 +50,8 @@ pub(super) struct Lists<'a> {
     /// Partners of each view that gets a map, key views first.
     pub rows: Vec<Vec<(u32, u32)>>,
     /// For each key view those whose maps may confirm its depths, best first: not only partners,
-    /// since key views are chosen to overlap little. With a [fusion](Dialect::fusion), enough of them
-    /// for any number of first maps.
+    /// since key views are chosen to overlap little. With a [fusion](Dialect::fusion), enough of
+    /// them for any number of first maps.
     compared: Vec<Vec<(u32, u32)>>,
 }
 
@@ -173,8 +173,8 @@ impl<'a> Lists<'a> {
         }
     }
 
-    /// `tuples.txt`: for each key view a line of the scan and model (as MVSAnywhere names a scan with
-    /// a model of COLMAP), its id and those of its partners.
+    /// `tuples.txt`: for each key view a line of the scan and model (as MVSAnywhere names a scan
+    /// with a model of COLMAP), its id and those of its partners.
     pub fn tuples(&self) -> String {
         let tuple = |(key, row): (&u32, &Vec<(u32, u32)>)| {
             let partners = row.iter().map(|(view, _)| self.numbers[*view as usize]);

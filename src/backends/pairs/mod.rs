@@ -1,6 +1,7 @@
-//! MVSNet and the programs that read its files, in one table ([`dialects`]): `docs/backends.md` 3 and
-//! 14. `pair.txt` lists the key views with their partners, `cams/` contains the cameras; the readers
-//! differ in the depth line of a camera and in which views they expect.
+//! MVSNet and the programs that read its files, in one table ([`dialects`]): `docs/backends.md` 3
+//! and
+//! 14. `pair.txt` lists the key views with their partners, `cams/` contains the cameras; the
+//!     readers differ in the depth line of a camera and in which views they expect.
 
 use std::collections::BTreeSet;
 

@@ -1,10 +1,10 @@
 //! The tasks of an export for PatchmatchNet: `run.json`, and how its `eval.py` computes and joins
 //! what it lists.
 //!
-//! `eval.py` computes all of a list, writes in place, and joins the maps of every view in a list, of
-//! one size. So each map is made in a folder of its own, from a list of one entry, and moved to its
-//! place if it is whole. The cloud is made in such a folder, too, from a list of the finished maps,
-//! of which those of another size are copied with the nearest pixel at each place.
+//! `eval.py` computes all of a list, writes in place, and joins the maps of every view in a list,
+//! of one size. So each map is made in a folder of its own, from a list of one entry, and moved to
+//! its place if it is whole. The cloud is made in such a folder, too, from a list of the finished
+//! maps, of which those of another size are copied with the nearest pixel at each place.
 
 use std::{collections::BTreeSet, env, ffi::OsString, path::Path};
 

@@ -14,8 +14,8 @@ pub(super) fn reduced(size: [u32; 2], longest: Option<u32>) -> [u32; 2] {
     size.map(|side| (scale.min(1.0) * f64::from(side)) as u32)
 }
 
-/// Returns the longest side to which images are reduced to be matched or fused at this size, pixels;
-/// `None` at their own.
+/// Returns the longest side to which images are reduced to be matched or fused at this size,
+/// pixels; `None` at their own.
 pub(super) fn limit(selection: &Selection, lists: &Lists, scale: MapScale) -> Option<u32> {
     let scale = matched_scale(selection, scale);
     (scale < 1.0).then(|| longest(lists, scale))

@@ -55,7 +55,8 @@ pub struct Arguments {
     #[arg(value_parser = super::arguments::project())]
     project: PathBuf,
 
-    /// Backend to match with [default: as planned, else as the project is set up, else what is installed]
+    /// Backend to match with [default: as planned, else as the project is set up, else what is
+    /// installed]
     #[arg(long, value_name = "NAME")]
     backend: Option<String>,
     /// Stop at P % of what all view clusters together reach [default: 90%, or the settings']
@@ -84,7 +85,8 @@ pub struct Arguments {
     /// Folder to which the image names of the model are relative [default: where they are found]
     #[arg(long, value_name = "DIR")]
     images: Option<PathBuf>,
-    /// The backend's program [default: $DENSIFY, $COLMAP, $DMRECON, $ALICEVISION or $SGM, else from the PATH]
+    /// The backend's program [default: $DENSIFY, $COLMAP, $DMRECON, $ALICEVISION or $SGM, else from
+    /// the PATH]
     #[arg(long, value_name = "FILE")]
     program: Option<PathBuf>,
     /// Threads of the backend [default: all]
@@ -154,7 +156,8 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     work.end(ended)
 }
 
-/// Returns the folder of the project that is matched: its own, or a workspace of undistorted images.
+/// Returns the folder of the project that is matched: its own, or a workspace of undistorted
+/// images.
 fn matched_root(
     arguments: &Arguments,
     project: Project,
@@ -263,8 +266,8 @@ fn note_followed(root: &Path, followed: &[&TypedSetting]) {
     }
 }
 
-/// Returns the backend of the project's plan, if none is named: another could not use its maps. Without
-/// a plan for depth maps, the one that is chosen for a plan.
+/// Returns the backend of the project's plan, if none is named: another could not use its maps.
+/// Without a plan for depth maps, the one that is chosen for a plan.
 fn planned_or_chosen(
     project: &Project,
     settings: &Settings,
@@ -310,8 +313,8 @@ fn refuse_images(
     }
 }
 
-/// Finds the workspace of undistorted images that another program has made. Viewrank's own may be of
-/// earlier images.
+/// Finds the workspace of undistorted images that another program has made. Viewrank's own may be
+/// of earlier images.
 fn foreign_workspace(project: &Project, backend: &Backend) -> Result<Option<Project>, Failure> {
     if project.has_undistorted_workspace() {
         return Ok(None);

@@ -32,7 +32,8 @@ pub struct RunSummary {
     /// Share of the area that all of them would cover, 0 to 1, estimated from the finished maps;
     /// null before the first measurement.
     share: Option<f64>,
-    /// The same as the plan predicted it for as many maps; null if it was made around finished ones.
+    /// The same as the plan predicted it for as many maps; null if it was made around finished
+    /// ones.
     predicted: Option<f64>,
     /// Seconds that this run matched for, and that all depth maps would take at that speed; null
     /// if it computed none.

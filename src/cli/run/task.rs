@@ -15,8 +15,8 @@ use crate::{
     show::manifest::WrittenPlan,
 };
 
-/// Does a task of the project's plan; ends at once where its result is there, or the depth maps reach
-/// the target. So a queue may start it any number of times.
+/// Does a task of the project's plan; ends at once where its result is there, or the depth maps
+/// reach the target. So a queue may start it any number of times.
 pub fn run(arguments: &Arguments, product: Product, stop: &AtomicBool) -> Result<(), Failure> {
     // As dispatch names the project.
     let root =
@@ -94,8 +94,8 @@ fn no_task(rank: usize, cut: usize, say: impl Fn(&str)) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Returns whether the finished depth maps reach the target; the tasks that wait behind this one are
-/// not needed then.
+/// Returns whether the finished depth maps reach the target; the tasks that wait behind this one
+/// are not needed then.
 fn ends_at_target(root: &Path, dispatch: &Dispatch, say: impl Fn(&str)) -> bool {
     let Some(progress) = follow::reached(root) else {
         return false;

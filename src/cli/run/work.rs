@@ -321,9 +321,9 @@ impl<'a> Work<'a> {
         }
     }
 
-    /// Fuses the cloud so far, so that a user who has seen enough can stop early: first when this run
-    /// has computed 1 % of all maps, then for a part of the time. A failure is a warning, since the
-    /// maps are kept and fused at the end.
+    /// Fuses the cloud so far, so that a user who has seen enough can stop early: first when this
+    /// run has computed 1 % of all maps, then for a part of the time. A failure is a warning, since
+    /// the maps are kept and fused at the end.
     fn fuse_so_far(&mut self) {
         let first = (FIRST_FUSED * self.plan.scene.views.len() as f64).ceil() as usize;
         let (computed, before) = (self.computed.0, &self.so_far);

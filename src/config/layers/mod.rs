@@ -166,8 +166,8 @@ impl Configuration {
         Self::load_for(files, typed, backend, &|_| None)
     }
 
-    /// As [`Self::load`]; `metres` returns how many are in a unit of the model, if that is known. It
-    /// is called with the settings that are no lengths, if there is a length with a unit and no
+    /// As [`Self::load`]; `metres` returns how many are in a unit of the model, if that is known.
+    /// It is called with the settings that are no lengths, if there is a length with a unit and no
     /// setting `units`.
     pub fn load_for(
         files: &Files,

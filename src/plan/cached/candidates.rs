@@ -83,8 +83,8 @@ mod tests {
     use super::*;
     use crate::plan::cached::bytes;
 
-    /// Returns whether a cache is accepted in which the first of three views has these partners, and
-    /// this number of views is refused.
+    /// Returns whether a cache is accepted in which the first of three views has these partners,
+    /// and this number of views is refused.
     fn is_believed(partners: &[u32], refused: u32) -> bool {
         let mut packer = Packer::default();
         packer.list(&[partners.len() as u32, 0, 0]);

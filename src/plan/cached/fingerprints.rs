@@ -163,8 +163,8 @@ impl<'a> Fingerprints<'a> {
         CacheFile::new(self.home, "viewrank/cache/shown.table", inputs())
     }
 
-    /// The clusters and their fulfilment, made from the results in `from` and the pictures that were
-    /// compared (empty: none).
+    /// The clusters and their fulfilment, made from the results in `from` and the pictures that
+    /// were compared (empty: none).
     pub fn clusters(
         &self,
         settings: &Settings,
@@ -227,8 +227,8 @@ impl<'a> Fingerprints<'a> {
     }
 
     /// The ranking without finished depth maps, with what follows from it. `makes_maps`: whether it
-    /// counts by the objective, or by the images themselves. `region`: factors on the weights of the
-    /// triangles.
+    /// counts by the objective, or by the images themselves. `region`: factors on the weights of
+    /// the triangles.
     pub fn ranking(
         &self,
         settings: &Settings,

@@ -269,8 +269,8 @@ impl Memory {
         self.check_limit("fulfilment table", self.partners)
     }
 
-    /// Forecasts the pilot: thumbnails and maps of all views, and the costs of the planes of one view
-    /// per thread; then the places, with what the ranking makes of them.
+    /// Forecasts the pilot: thumbnails and maps of all views, and the costs of the planes of one
+    /// view per thread; then the places, with what the ranking makes of them.
     pub(super) fn before_pilot(&mut self) -> Result<(), PlanError> {
         self.pilot = self.tables + self.basis.pilot;
         self.check_limit(PILOT, self.pilot)

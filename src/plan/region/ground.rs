@@ -124,8 +124,8 @@ impl GroundSummary {
         )
     }
 
-    /// Says how much more than one photograph shows, but fewer than needed. `in_metres`: the area of
-    /// a share in brackets.
+    /// Says how much more than one photograph shows, but fewer than needed. `in_metres`: the area
+    /// of a share in brackets.
     fn seen_by_few(&self, in_metres: impl Fn(f64) -> String) -> String {
         let share = 1.0 - self.unseen - self.seen_once - self.enough;
         let few = match self.needed {

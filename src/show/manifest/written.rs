@@ -181,8 +181,8 @@ pub fn planned_backend(project: &Project) -> Option<String> {
         .map(|recorded| recorded.backend)
 }
 
-/// Returns the names of the backends that the project's plan was written for, the one that it is for
-/// first; none without a plan.
+/// Returns the names of the backends that the project's plan was written for, the one that it is
+/// for first; none without a plan.
 pub fn planned_backends(project: &Project) -> Vec<String> {
     let workspace = open_planned_workspace(project);
     let Ok(recorded) = RecordedPlan::read(workspace.as_ref().unwrap_or(project)) else {
@@ -256,8 +256,8 @@ pub fn planned_ground(project: &Project, settings: &Settings) -> Option<GroundSu
 }
 
 /// Returns the workspace of undistorted images whose plan counts for the project: where the project
-/// has no plan of its own, or one for a program that needs undistorted images and therefore works in
-/// the workspace.
+/// has no plan of its own, or one for a program that needs undistorted images and therefore works
+/// in the workspace.
 pub fn planned_workspace(project: &Project) -> Option<PathBuf> {
     let dense = project.dense_workspace.clone();
     let dense = dense.or_else(|| project.undistorted_workspace());

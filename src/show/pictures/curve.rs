@@ -1,4 +1,5 @@
-//! `curve.svg`: share of the area that all depth maps cover, over key views and over matching pairs.
+//! `curve.svg`: share of the area that all depth maps cover, over key views and over matching
+//! pairs.
 
 use super::plot::{self, COLOURS, Line, Plot};
 use crate::plan::{Cut, Plan};

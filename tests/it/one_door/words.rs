@@ -93,7 +93,8 @@ fn a_model_placed_by_positions_is_in_metres_on_its_page_too() {
     let folder = Folder::new();
     folder.colmap("sparse/0", &ColmapModel::from_scene(&scene()));
     for view in &scene().views {
-        // Two metres in a unit; a second of arc is 30.9 m to the north, and 19.1 to the east at 52°.
+        // Two metres in a unit; a second of arc is 30.9 m to the north, and 19.1 to the east at
+        // 52°.
         let centre = view.cam_from_world.centre();
         let position = [200.0 + 2.0 * centre.y, 200.0 + 2.0 * centre.x];
         let seconds = [position[0] / 30.9, position[1] / 19.06];

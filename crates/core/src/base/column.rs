@@ -56,7 +56,8 @@ impl<T> Column<T> {
         }
     }
 
-    /// Returns the rows to be changed, if they are in memory and nobody shares them; else the column.
+    /// Returns the rows to be changed, if they are in memory and nobody shares them; else the
+    /// column.
     pub fn into_rows(self) -> Result<Vec<T>, Self> {
         match self.0 {
             Backing::Memory(rows) => {

@@ -60,8 +60,8 @@ impl KdTree {
         Point3::from([0, 1, 2].map(|axis| place[axis].max(low[axis]).min(high[axis])))
     }
 
-    /// `away`: distance to the box of the range along each axis. From far away all points of a cloud
-    /// are about equally far along the axis of a split, but not in space.
+    /// `away`: distance to the box of the range along each axis. From far away all points of a
+    /// cloud are about equally far along the axis of a split, but not in space.
     fn look<const N: usize>(
         &self,
         to: &Point3<f64>,

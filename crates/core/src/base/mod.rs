@@ -1,5 +1,6 @@
-//! Foundations that all floors share: errors, progress, amounts with units, digits and medians of numbers, bounds of pixels, large columns, sets of
-//! bits, CSR offsets, nearest points, tiles of space, vectorised loops.
+//! Foundations that all floors share: errors, progress, amounts with units, digits and medians of
+//! numbers, bounds of pixels, large columns, sets of bits, CSR offsets, nearest points, tiles of
+//! space, vectorised loops.
 
 pub mod amounts;
 pub mod bits;

@@ -1,5 +1,5 @@
-//! What the ranking counts: the places that pilot maps show, or without a pilot the triangles of the
-//! surface.
+//! What the ranking counts: the places that pilot maps show, or without a pilot the triangles of
+//! the surface.
 
 use std::sync::Arc;
 
@@ -38,8 +38,8 @@ const SINGLE_KEPT: f64 = 0.25;
 /// Weight for the order of a place on which two maps agree: half of those are chance.
 const TWO_FOR_ORDER: f64 = 0.5;
 
-/// What the ranking counts with a pilot (method 5.9): the places, followed by the triangles, with the
-/// part that each cluster of a plan has in them.
+/// What the ranking counts with a pilot (method 5.9): the places, followed by the triangles, with
+/// the part that each cluster of a plan has in them.
 #[derive(Clone, Debug)]
 pub struct CountedPlaces {
     pub places: Arc<Places>,
@@ -101,8 +101,8 @@ pub struct Counted<'a> {
 }
 
 impl Counted<'_> {
-    /// Ranks the maps at a price per unit of work ([`Ranker::rank`]), `ranker` by what decides on the
-    /// order here.
+    /// Ranks the maps at a price per unit of work ([`Ranker::rank`]), `ranker` by what decides on
+    /// the order here.
     pub(super) fn rank(
         &self,
         ranker: &Ranker,
@@ -407,7 +407,8 @@ impl Weighing<'_> {
     }
 
     /// Returns the objective that counts places by `weight`, followed by the triangles with the
-    /// part `predicted` of theirs in `by_triangle`. `sum`: of both, where that of the triangles is 1.
+    /// part `predicted` of theirs in `by_triangle`. `sum`: of both, where that of the triangles is
+    /// 1.
     fn objective(
         &self,
         (by_triangle, predicted): (&Objective, f64),

@@ -115,8 +115,8 @@ impl<'a> Cost<'a> {
         }
     }
 
-    /// Seconds of matching; 0 for a finished cluster, `None` where the times are unset or nothing is
-    /// matched.
+    /// Seconds of matching; 0 for a finished cluster, `None` where the times are unset or nothing
+    /// is matched.
     pub fn seconds(&self, rank: usize) -> Option<f64> {
         if !self.options.makes_maps {
             return None;

@@ -257,8 +257,8 @@ fn rank_at_prices(
 
 /// A ranking, with what makes its plan better than others.
 struct Merited {
-    /// In this order: what fusion keeps, up to the target; f_o, unless the target is reached; little
-    /// work.
+    /// In this order: what fusion keeps, up to the target; f_o, unless the target is reached;
+    /// little work.
     merit: [f64; 3],
     ranking: Ranking,
 }

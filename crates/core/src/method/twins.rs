@@ -336,7 +336,8 @@ mod tests {
         }
     }
 
-    /// Views at these x, with the given focal lengths, of a wall at z = 10 whose points all observe.
+    /// Views at these x, with the given focal lengths, of a wall at z = 10 whose points all
+    /// observe.
     fn scene(views: &[(f64, f64)]) -> Scene {
         let camera = |&(_, focal): &(f64, f64)| {
             let params = vec![focal, focal, 80.0, 60.0];

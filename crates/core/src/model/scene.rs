@@ -232,8 +232,8 @@ impl Scene {
     }
 
     /// Returns the views that are kept apart for tests, ascending: every n-th by name, from the
-    /// first, as trainers count them (0: none), else those that the model names; without those whose
-    /// image is missing (`without_image`, ascending).
+    /// first, as trainers count them (0: none), else those that the model names; without those
+    /// whose image is missing (`without_image`, ascending).
     pub fn kept_for_tests(
         &self,
         every: Option<u32>,

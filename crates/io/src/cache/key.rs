@@ -27,7 +27,8 @@ impl fmt::Debug for Key {
     }
 }
 
-/// Returns the key; `None` where it cannot be kept, or is in the project, which may have brought it.
+/// Returns the key; `None` where it cannot be kept, or is in the project, which may have brought
+/// it.
 pub(super) fn of_user(project: &Path) -> Option<Key> {
     static KEY: OnceLock<Option<(PathBuf, Key)>> = OnceLock::new();
     let found = || {
@@ -41,8 +42,8 @@ pub(super) fn of_user(project: &Path) -> Option<Key> {
     is_outside(folder, project).then_some(*key)
 }
 
-/// Returns whether no other user may read the key, as far as its file system knows users: on one that
-/// gives all files the same permissions, they cannot be taken away.
+/// Returns whether no other user may read the key, as far as its file system knows users: on one
+/// that gives all files the same permissions, they cannot be taken away.
 fn is_private(path: &Path, found: &fs::Metadata) -> bool {
     if platform::is_private(found) {
         return true;

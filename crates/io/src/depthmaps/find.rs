@@ -183,7 +183,8 @@ pub fn list(folder: &Path, scene: &Scene) -> Result<DepthMapSet, DepthMapError> 
     list_preferring(folder, scene, &|_| true)
 }
 
-/// As [`list`], but of the maps of a view one that is preferred comes first, such as that of a plan.
+/// As [`list`], but of the maps of a view one that is preferred comes first, such as that of a
+/// plan.
 ///
 /// # Errors
 /// As [`list`].
@@ -411,8 +412,8 @@ fn view_of(
             None => numbers.view(path.file_stem().and_then(|s| s.to_str()))?,
         },
         DepthMapFormat::Dmb => numbers.view(Some(folder_name(path).trim_start_matches("2333_")))?,
-        // 2, date, time, and the name of the image without its extension, which may have `_` itself;
-        // 2, hash and number in an export.
+        // 2, date, time, and the name of the image without its extension, which may have `_`
+        // itself; 2, hash and number in an export.
         DepthMapFormat::Gipuma => match folder_name(path).splitn(4, '_').collect::<Vec<_>>()[..] {
             [_, _, _, stem] => by_stem(scene, stem),
             [.., number] => numbers.view(Some(number))?,

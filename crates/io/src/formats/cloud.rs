@@ -209,8 +209,8 @@ fn index(point2d: &Point2d) -> u32 {
 }
 
 impl Observed {
-    /// Gives the points that are used, which are now those of the model, their tracks. `why`: begins
-    /// the warning; `all`: points of the cloud.
+    /// Gives the points that are used, which are now those of the model, their tracks. `why`:
+    /// begins the warning; `all`: points of the cloud.
     fn attach(mut self, model: &mut ColmapModel, why: &str, all: usize) {
         let places: HashMap<u32, usize> = self.points.iter().copied().zip(0..).collect();
         // Counted first: tracks that grow by doubling could hold twice their memory.
@@ -371,7 +371,8 @@ fn follow_lists(model: &mut ColmapModel) {
 }
 
 /// Returns whether a point is of a share of them, by a hash of its index: with a fixed stride, only
-/// some lines of a grid would remain. The points of a smaller share are among those of a larger one.
+/// some lines of a grid would remain. The points of a smaller share are among those of a larger
+/// one.
 fn is_kept(point: u32, share: f64) -> bool {
     // SplitMix64.
     let z = (u64::from(point))

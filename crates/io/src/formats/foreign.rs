@@ -198,8 +198,8 @@ impl ForeignModel {
     }
 }
 
-/// Writes a name with `/` and without `.` and `..`, a URL of a file as its path, an absolute path of
-/// Windows with its drive as the first folder; returns for such a path whether it has a drive.
+/// Writes a name with `/` and without `.` and `..`, a URL of a file as its path, an absolute path
+/// of Windows with its drive as the first folder; returns for such a path whether it has a drive.
 fn normalise(name: &mut String) -> Option<bool> {
     if let Some(path) = name.strip_prefix("file://") {
         // `file:///D:/a.jpg` has a slash before the drive.

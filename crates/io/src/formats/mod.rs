@@ -1,6 +1,6 @@
-//! File formats of sparse models, one module each: bytes <-> [`viewrank_core::model::scene::Scene`],
-//! without file access. Conventions of a format (axes, pixel centre, distortion) don't leave its
-//! module.
+//! File formats of sparse models, one module each: bytes <->
+//! [`viewrank_core::model::scene::Scene`], without file access. Conventions of a format (axes,
+//! pixel centre, distortion) don't leave its module.
 
 pub mod alicevision;
 pub mod blocks;

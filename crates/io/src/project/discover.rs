@@ -277,8 +277,8 @@ fn two_folders_below(root: &Path, is_wanted: impl Fn(&Path) -> bool) -> Vec<Path
     below.take(MOST_FOLDERS).collect()
 }
 
-/// Finds the model of a folder; prefers binary to text, like COLMAP. The points may be in a PLY file
-/// instead.
+/// Finds the model of a folder; prefers binary to text, like COLMAP. The points may be in a PLY
+/// file instead.
 fn colmap_model(folder: &Path) -> Result<Option<ModelLocation>, ProjectError> {
     let mut incomplete = None;
     for format in [ModelFormat::ColmapBinary, ModelFormat::ColmapText] {
@@ -605,7 +605,8 @@ fn home_of<'a>(root: &Path, model: &'a ModelLocation) -> Option<&'a Path> {
     home.starts_with(root).then_some(home)
 }
 
-/// Poses of the registered images, by their plain names: programs differ in how they spell one path.
+/// Poses of the registered images, by their plain names: programs differ in how they spell one
+/// path.
 pub(super) type Poses = BTreeMap<String, StoredPose>;
 
 /// Poses of the registered images; `None` if the model cannot be read.

@@ -249,8 +249,8 @@ pub(super) fn candidates(root: &Path, model: &Path) -> Vec<PathBuf> {
     [usual(root, model), reduced(root, model)].concat()
 }
 
-/// The photographs of a distorted model of 3D Gaussian Splatting, the nearest `images`, those of the
-/// nearest `project.ini`, the project folder and the model's folder, where they exist.
+/// The photographs of a distorted model of 3D Gaussian Splatting, the nearest `images`, those of
+/// the nearest `project.ini`, the project folder and the model's folder, where they exist.
 fn usual(root: &Path, model: &Path) -> Vec<PathBuf> {
     let bare = [Some(root.into()), model.parent().map(Path::to_path_buf)];
     let images = around(root, model).map(|above| Some(above.join(IMAGES)));
@@ -331,11 +331,11 @@ impl SoughtImages {
     }
 }
 
-/// Finds the image folder: the first usual place that holds one of the `names`, if it holds most and
-/// has pictures of the cameras' size; else, of the usual places and the folders below the project,
-/// the one that holds most of them, under their names if any is, else spelled otherwise, and of
-/// several the one with the best [`Look`]; else a reduced copy; else the usual place that exists,
-/// where the user should put them. `named`: the folder that the model names.
+/// Finds the image folder: the first usual place that holds one of the `names`, if it holds most
+/// and has pictures of the cameras' size; else, of the usual places and the folders below the
+/// project, the one that holds most of them, under their names if any is, else spelled otherwise,
+/// and of several the one with the best [`Look`]; else a reduced copy; else the usual place that
+/// exists, where the user should put them. `named`: the folder that the model names.
 pub(super) fn find(
     root: &Path,
     model: &Path,
@@ -393,7 +393,8 @@ fn searched(
     let best = holding_most(&folders, sought, &search)
         .or_else(|| holding_most(&reduced(root, model), sought, &search))?;
     let mut widest = (held_below(&best, names), best.path.clone());
-    // One photograph that a folder lacks is not that of another flight: cameras begin to count anew.
+    // One photograph that a folder lacks is not that of another flight: cameras begin to count
+    // anew.
     if sought.are_most(widest.0) {
         return Some(best);
     }

@@ -141,8 +141,8 @@ const UNREADABLE: &str = "images that cannot be read";
 /// Why an image has the width of its camera as its height.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Turned {
-    /// Its EXIF orientation says that it is to be shown turned, and the model was made from pictures
-    /// that were.
+    /// Its EXIF orientation says that it is to be shown turned, and the model was made from
+    /// pictures that were.
     ForDisplay,
     /// A program has turned its pixels, and the model was made from those that were not, or the
     /// reverse.

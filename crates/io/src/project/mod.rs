@@ -136,8 +136,8 @@ pub struct ModelLocation {
     /// not needed.
     pub registered: u64,
     pub contents: ModelContents,
-    /// Name as passed to `--model`: that of the folder or file, with the folders above it if several
-    /// models of the project have the same.
+    /// Name as passed to `--model`: that of the folder or file, with the folders above it if
+    /// several models of the project have the same.
     pub name: String,
 }
 
@@ -306,8 +306,8 @@ impl Project {
         depthmaps::folder_of(&self.home, self.dense_workspace.as_deref(), program)
     }
 
-    /// Returns the dense workspace below the project, or the folder that OpenSfM has undistorted its
-    /// model into, unless it lacks its images.
+    /// Returns the dense workspace below the project, or the folder that OpenSfM has undistorted
+    /// its model into, unless it lacks its images.
     pub fn undistorted_workspace(&self) -> Option<PathBuf> {
         let dense = self.dense_workspace.clone();
         let dense = dense.filter(|dense| *dense != self.root);
@@ -611,8 +611,8 @@ impl Project {
         self.other_models.iter().filter(is_copy).collect()
     }
 
-    /// Names a dense workspace that is not used: one that was made from another model, or the others
-    /// beside the one that is. Not where nothing is written into the project anyway.
+    /// Names a dense workspace that is not used: one that was made from another model, or the
+    /// others beside the one that is. Not where nothing is written into the project anyway.
     fn other_workspace_warning(&self) -> Option<ModelWarning> {
         if self.is_elsewhere() || self.dense_workspace.as_ref() == Some(&self.root) {
             return None;

@@ -279,8 +279,8 @@ impl Listing {
     }
 
     /// The only image that fits a name, which may lack an extension or have that of another format;
-    /// of several, the only one with the extension of the name. Of any number of images it takes the
-    /// same time.
+    /// of several, the only one with the extension of the name. Of any number of images it takes
+    /// the same time.
     fn only_image(&self, name: &str) -> Option<String> {
         let whole = folded(name);
         // `a.v2` may be a whole name without its extension, which comes before `a` with another

@@ -32,8 +32,8 @@ pub(super) fn test_lists(root: &Path, model: &ModelLocation) -> [PathBuf; 2] {
     [model.path.join(BESIDE_MODEL), root.join(IN_PROJECT)]
 }
 
-/// Returns the views that the lists name, one to a line, ascending; none where they leave too few to
-/// train on. Says which names mean none.
+/// Returns the views that the lists name, one to a line, ascending; none where they leave too few
+/// to train on. Says which names mean none.
 pub(super) fn listed_tests(
     root: &Path,
     model: &ModelLocation,
@@ -79,7 +79,8 @@ pub(super) fn listed_tests(
 /// Views without which there is nothing to choose from.
 const LEAST_TRAINED: usize = 2;
 
-/// The views by what their names may be cut to: without folders, without extension, in any spelling.
+/// The views by what their names may be cut to: without folders, without extension, in any
+/// spelling.
 struct Meant(HashMap<String, Option<ViewIndex>>);
 
 impl Meant {

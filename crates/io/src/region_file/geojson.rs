@@ -338,8 +338,8 @@ fn ring(ring: Nested) -> Result<Vec<[f64; 2]>, String> {
     Ok(positions)
 }
 
-/// Most pairs of edges of a file that are looked at for a crossing: all of rings with a few thousand
-/// corners, as somebody may draw them.
+/// Most pairs of edges of a file that are looked at for a crossing: all of rings with a few
+/// thousand corners, as somebody may draw them.
 const MOST_PAIRS: usize = 20_000_000;
 /// How far the ends of two edges that cross lie beyond each other, over the size of their ring:
 /// rounded corners cross by less, as at the two sides of a cut that leads to a hole.

@@ -167,8 +167,8 @@ impl<'a> ThinnedMaps<'a> {
         others.filter(may_show).collect()
     }
 
-    /// Returns the point of a pixel; `None` if it is used, or too few maps agree. `others`: the maps
-    /// that may show its place.
+    /// Returns the point of a pixel; `None` if it is used, or too few maps agree. `others`: the
+    /// maps that may show its place.
     fn point(
         &self,
         own: usize,

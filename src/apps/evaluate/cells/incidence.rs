@@ -207,8 +207,8 @@ impl Incidence {
             .collect()
     }
 
-    /// Returns the share of the cells that the first i maps of an order cover, for i = 0, 1, ...: of
-    /// all cells, and of those where three maps agree.
+    /// Returns the share of the cells that the first i maps of an order cover, for i = 0, 1, ...:
+    /// of all cells, and of those where three maps agree.
     pub fn curves(&self, order: &[u32]) -> [Vec<f64>; 2] {
         let mut is_left = vec![true; self.names.len()];
         let mut taken = vec![0; self.cells.len()];
@@ -251,8 +251,8 @@ impl Incidence {
         cells.sum::<f64>() / self.total(counted).max(1.0)
     }
 
-    /// Reads a table. `support`: maps that fusion wants. `views`: number of views of the scene, which
-    /// are at least as many as the maps.
+    /// Reads a table. `support`: maps that fusion wants. `views`: number of views of the scene,
+    /// which are at least as many as the maps.
     pub fn read(path: &Path, support: u32, views: usize) -> Result<Self, IncidenceError> {
         let text =
             input::read_text(path, FileKind::State).map_err(|source| IncidenceError::Io {

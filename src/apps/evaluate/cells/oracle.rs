@@ -4,8 +4,8 @@ use std::cmp::Reverse;
 
 use super::incidence::{CountedCells, Incidence};
 
-/// A cell that is covered, in the unit of the credits: sums of integers are exact, so that gains can
-/// be kept up to date.
+/// A cell that is covered, in the unit of the credits: sums of integers are exact, so that gains
+/// can be kept up to date.
 const WHOLE: u64 = 15;
 /// Credits for a cell with all but one of the maps that it needs: no single one is best everywhere.
 const CREDITS: [u64; 2] = [WHOLE / 5, WHOLE / 3];

@@ -35,7 +35,8 @@ const FARTHEST: f64 = 1e15;
 const COARSER: f64 = 3.0;
 /// Samples along a side of what a planned image shows.
 const SAMPLES: usize = 8;
-/// Distance, over that which gives the wanted resolution, up to which a planned image shows a place.
+/// Distance, over that which gives the wanted resolution, up to which a planned image shows a
+/// place.
 const FARTHER: f64 = 1.5;
 
 /// The ground of a region that too few photographs show finely enough for a surface.
@@ -354,8 +355,8 @@ impl<'a> Overhead<'a> {
         most as f64 / samples.len() as f64
     }
 
-    /// Chooses images until each place is shown by as many as it lacks, those first that show most such
-    /// places.
+    /// Chooses images until each place is shown by as many as it lacks, those first that show most
+    /// such places.
     fn enough(&self, places: &[Lack], squares: &BTreeSet<Square>) -> BTreeSet<Square> {
         let squares: Vec<Square> = squares.iter().copied().collect();
         let below = |square: &Square| -> Vec<u32> {

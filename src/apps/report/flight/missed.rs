@@ -1,4 +1,5 @@
-//! The ground of a region that no photograph shows finely enough, or a single one, as polygons for a map.
+//! The ground of a region that no photograph shows finely enough, or a single one, as polygons for
+//! a map.
 
 use serde_json::{Value, json};
 

@@ -157,8 +157,8 @@ impl Flight {
         ))
     }
 
-    /// Begins a sentence about some of the images, with the verb for one or more; `None` for none of
-    /// them.
+    /// Begins a sentence about some of the images, with the verb for one or more; `None` for none
+    /// of them.
     fn part(&self, number: usize, [one, more]: [&str; 2]) -> Option<String> {
         let all = self.waypoints.len();
         Some(match number {

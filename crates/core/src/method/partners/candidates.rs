@@ -258,8 +258,8 @@ fn refusal(pair: &PairGeometry, limits: &Limits) -> Option<Reason> {
 }
 
 impl CandidateRow {
-    /// Adds partners with which matching usually fails, up to k in all: such a partner is better than
-    /// none.
+    /// Adds partners with which matching usually fails, up to k in all: such a partner is better
+    /// than none.
     fn fill_beyond_gate<'p>(&mut self, pairs: impl Iterator<Item = &'p PairGeometry<'p>>, k: u32) {
         let within = self.views.len();
         let lacking = (k as usize).saturating_sub(within);

@@ -6,8 +6,8 @@ use crate::base::vector::{Kernel, vectorised};
 const NEXT: u8 = 5;
 /// Penalty of a larger step.
 const FAR: u8 = 32;
-/// More than any cost of a path, which is at most that of a pixel and [`FAR`]; with [`NEXT`] added it
-/// still fits into eight bits.
+/// More than any cost of a path, which is at most that of a pixel and [`FAR`]; with [`NEXT`] added
+/// it still fits into eight bits.
 const NEVER: u8 = 120;
 /// Paths of a pass that come from the row before.
 const FROM_ABOVE: usize = 3;
@@ -135,8 +135,8 @@ impl Aggregation {
     }
 }
 
-/// Continues a path at a pixel: `out[d] = costs[d] + min(before[d], before[d - 1] + NEXT, before[d +
-/// 1] + NEXT, least + FAR) - least`, added to `sums`. Returns the least of `out`.
+/// Continues a path at a pixel: `out[d] = costs[d] + min(before[d], before[d - 1] + NEXT, before[d
+/// + 1] + NEXT, least + FAR) - least`, added to `sums`. Returns the least of `out`.
 #[inline(always)]
 fn step(costs: &[u8], before: &[u8], out: &mut [u8], sums: &mut [u16], least: u8) -> u8 {
     let planes = costs.len();

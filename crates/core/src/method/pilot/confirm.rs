@@ -11,8 +11,8 @@ use crate::{
 
 /// Relative difference of two depths that agree; with more, clutter confirms itself.
 const AGREE_WITHIN: f64 = 0.015;
-/// The same in steps between planes: where the partners are near each other, [`AGREE_WITHIN`] is less
-/// than the sweep can tell.
+/// The same in steps between planes: where the partners are near each other, [`AGREE_WITHIN`] is
+/// less than the sweep can tell.
 const PART_OF_A_PLANE: f64 = 0.25;
 /// But no more than this: far behind the sparse points everything would agree.
 const MOST_WITHIN: f64 = 0.03;
@@ -41,8 +41,8 @@ impl PilotMap {
         shown.is_some_and(|(pixel, z)| self.agrees_at(pixel, z).is_some())
     }
 
-    /// Returns whether a pixel's depth is so near to this one that fusion keeps it; `None` if the two
-    /// do not agree.
+    /// Returns whether a pixel's depth is so near to this one that fusion keeps it; `None` if the
+    /// two do not agree.
     pub(super) fn agrees_at(&self, pixel: usize, z: f64) -> Option<bool> {
         let inverse = f64::from(self.inverse[pixel]);
         // The difference of the inverse depths, relative to that of the place.

@@ -1,9 +1,9 @@
 //! The pilot (method 5.9): all views are matched once, in thumbnails, before anything is ranked.
 //!
-//! A pilot map shows what no prediction does: a dense surface where there are no sparse points, which
-//! map takes part where, and where pictures do not match. [`PilotMap`]s come from a plane sweep
-//! against the planned partners ([`sweep`]); only what other maps confirm is kept ([`confirm`]); and
-//! the [`Places`] on which they agree are what the ranking counts.
+//! A pilot map shows what no prediction does: a dense surface where there are no sparse points,
+//! which map takes part where, and where pictures do not match. [`PilotMap`]s come from a plane
+//! sweep against the planned partners ([`sweep`]); only what other maps confirm is kept
+//! ([`confirm`]); and the [`Places`] on which they agree are what the ranking counts.
 
 mod aggregate;
 mod confirm;
@@ -35,9 +35,9 @@ use crate::{
     },
 };
 
-/// Matches each cluster in thumbnails, and finds the depths that other maps confirm. Thumbnails that
-/// are missing are made of the pictures of the `source`, which are read for matching at this size.
-/// Nothing is matched where a map is `made` already, one for each cluster.
+/// Matches each cluster in thumbnails, and finds the depths that other maps confirm. Thumbnails
+/// that are missing are made of the pictures of the `source`, which are read for matching at this
+/// size. Nothing is matched where a map is `made` already, one for each cluster.
 ///
 /// Returns the maps of all clusters, one each: `None` without a thumbnail or sparse points.
 pub fn maps(

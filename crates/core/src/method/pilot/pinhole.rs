@@ -33,8 +33,8 @@ impl Pinhole {
         (self.pose.rotation.inverse() * (x - self.pose.translation)).into()
     }
 
-    /// Returns the pixel that shows a place of the world, and the depth of the place; `None` outside
-    /// the picture.
+    /// Returns the pixel that shows a place of the world, and the depth of the place; `None`
+    /// outside the picture.
     pub fn pixel(&self, place: &Point3<f64>) -> Option<(usize, f64)> {
         let x = self.pose.camera_from_world(place);
         if x.z <= 0.0 {

@@ -81,9 +81,9 @@ pub struct Part {
 }
 
 impl Places {
-    /// Finds the places of the maps of all clusters: those that others confirm; then, if fusion wants
-    /// no more than `support` = 1 of them, those that a single one shows. `smaller`: size of the
-    /// thumbnails over that of the matched images.
+    /// Finds the places of the maps of all clusters: those that others confirm; then, if fusion
+    /// wants no more than `support` = 1 of them, those that a single one shows. `smaller`: size of
+    /// the thumbnails over that of the matched images.
     pub fn new(
         clusters: &[ViewCluster],
         mut maps: Vec<Option<PilotMap>>,

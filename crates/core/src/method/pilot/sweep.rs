@@ -1,8 +1,8 @@
 //! Plane sweep of a thumbnail against those of its partners.
 //!
-//! Planes of equal steps in inverse depth, parallel to the picture; the cost of a plane is 1 less the
-//! normalised cross-correlation of 5 x 5 pixels, in the mean of the three best partners, so that a
-//! partner that does not see the place does no harm; aggregated along eight paths.
+//! Planes of equal steps in inverse depth, parallel to the picture; the cost of a plane is 1 less
+//! the normalised cross-correlation of 5 x 5 pixels, in the mean of the three best partners, so
+//! that a partner that does not see the place does no harm; aggregated along eight paths.
 
 mod compare;
 

@@ -97,8 +97,8 @@ impl Ranking {
         }
     }
 
-    /// Corrects the shares by that of the first clusters, which are finished, as it was measured: of
-    /// what they leave, the others are expected to add the same parts as before.
+    /// Corrects the shares by that of the first clusters, which are finished, as it was measured:
+    /// of what they leave, the others are expected to add the same parts as before.
     pub fn correct(&mut self, finished: usize, measured: f64) {
         let expected = self.share(finished);
         // No factor leads from 0 to what was measured, and at 1 there is no rest to share out.

@@ -215,7 +215,8 @@ static DRAWN: LazyLock<Vec<f32>> = LazyLock::new(|| {
 impl Entry {
     /// Returns the part of the same place in another view that this one draws.
     fn draws(&self, other: &Self) -> f32 {
-        // The chord of the two rays is exact where they are near each other, as their cosine is not.
+        // The chord of the two rays is exact where they are near each other, as their cosine is
+        // not.
         let half_chord = 0.5 * (self.ray - other.ray).norm();
         let step = (half_chord * STEPS as f32 + 0.5) as usize;
         self.sharpness * DRAWN[step.min(STEPS)]

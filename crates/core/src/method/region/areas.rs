@@ -245,8 +245,8 @@ impl MapAreas {
         self.outside_of(&vertices.collect::<Vec<_>>())
     }
 
-    /// The error of polygons that are probably in degrees, where the model has no place on earth and
-    /// no point of it is near them.
+    /// The error of polygons that are probably in degrees, where the model has no place on earth
+    /// and no point of it is near them.
     pub fn in_degrees(&self, points: &[Point3<f64>]) -> Option<RegionError> {
         let points: Vec<[f64; 2]> = points.iter().map(|x| self.projection.project(x)).collect();
         let Rectangle { low, high } = self.rectangle();

@@ -88,8 +88,8 @@ impl RegionError {
         self.is_near() && !self.is_in_degrees()
     }
 
-    /// Returns whether the region is beside the surface, at most [`NEAR`] times its size away, or in
-    /// a gap of it.
+    /// Returns whether the region is beside the surface, at most [`NEAR`] times its size away, or
+    /// in a gap of it.
     fn is_near(&self) -> bool {
         match self {
             Self::OutsideMap { region, model, .. } => {
@@ -137,8 +137,8 @@ impl RegionError {
 /// metres.
 const TINY: f64 = 0.01;
 
-/// Returns whether the corners of a rectangle may be longitudes and latitudes: a site is far smaller
-/// than a degree, and far from the origin.
+/// Returns whether the corners of a rectangle may be longitudes and latitudes: a site is far
+/// smaller than a degree, and far from the origin.
 fn are_degrees(low: [f64; 2], high: [f64; 2]) -> bool {
     let most = [180.0, 90.0];
     let on_earth = |axis: usize| {

@@ -332,8 +332,8 @@ type Place = ([f64; 2], RegionProperties);
 /// A grid around a region, and the centres of its cells inside.
 type Inside = (Grid, Vec<Place>);
 
-/// Divides the region into cells, of which some thousands are inside; `None` if too many edges would
-/// be looked at: a comb of a million teeth would take minutes.
+/// Divides the region into cells, of which some thousands are inside; `None` if too many edges
+/// would be looked at: a comb of a million teeth would take minutes.
 fn places_inside(
     footprint: &Footprint,
     rings: &[Vec<[f64; 2]>],

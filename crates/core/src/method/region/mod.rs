@@ -145,8 +145,8 @@ impl RegionShape {
         Self::Box(ordered(corners))
     }
 
-    /// Returns the part of the map that the region covers; `None` for `auto`, which is a part of the
-    /// surface.
+    /// Returns the part of the map that the region covers; `None` for `auto`, which is a part of
+    /// the surface.
     pub fn footprint(&self, frame: &MapFrame) -> Option<Footprint<'_>> {
         match self {
             Self::Areas(areas) => Some(Footprint::Areas(areas)),

@@ -220,8 +220,8 @@ impl From<refine::RefineError> for SurfaceError {
     }
 }
 
-/// Builds the surface of the scene, or takes the mesh instead, and adjusts its edges to `wanted` and
-/// the settings; at most about `most` triangles. It still has triangles that no view sees: see
+/// Builds the surface of the scene, or takes the mesh instead, and adjusts its edges to `wanted`
+/// and the settings; at most about `most` triangles. It still has triangles that no view sees: see
 /// [`Surface::keep`].
 ///
 /// # Errors

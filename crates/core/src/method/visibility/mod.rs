@@ -283,8 +283,8 @@ pub const NOTHING: u32 = u32::MAX;
 const NEAR_SHARE: f64 = 1e-4;
 
 /// Returns the frontmost triangle in each pixel of some rows of a pinhole view's image, resized to
-/// `size` (width, height), row by row; [`NOTHING`] for empty pixels. Sampled at pixel centres. Takes
-/// 12 bytes per pixel of these rows.
+/// `size` (width, height), row by row; [`NOTHING`] for empty pixels. Sampled at pixel centres.
+/// Takes 12 bytes per pixel of these rows.
 pub fn front(
     scene: &Scene,
     surface: &Surface,

@@ -19,8 +19,8 @@ use crate::{
     },
 };
 
-/// Drops the connected components of a mesh outside all views, before the costly clean-up. `buffer_px`:
-/// side of the depth buffers, as in [`VisibilitySettings`](super::VisibilitySettings).
+/// Drops the connected components of a mesh outside all views, before the costly clean-up.
+/// `buffer_px`: side of the depth buffers, as in [`VisibilitySettings`](super::VisibilitySettings).
 pub fn keep_parts_in_field(
     scene: &Scene,
     mesh: Mesh,

@@ -302,9 +302,9 @@ impl Camera {
         (width * own_height / (height * own_width) - 1.0).abs() <= rounding.min(LARGEST_ROUNDING)
     }
 
-    /// The camera as PINHOLE if its model is that with distortion and the distortion is zero but for
-    /// rounding, as in models of images that a program has undistorted; many backends take pinhole
-    /// cameras only.
+    /// The camera as PINHOLE if its model is that with distortion and the distortion is zero but
+    /// for rounding, as in models of images that a program has undistorted; many backends take
+    /// pinhole cameras only.
     pub fn without_zero_distortion(self) -> Self {
         use CameraModel::{
             Division, Eucm, Fov, FullOpenCv, OpenCv, Pinhole, Radial, SimpleDivision, SimpleRadial,

@@ -178,8 +178,8 @@ impl Zone {
         (is_known && is_whole).then(|| Self::parse(&zone[..end]))?
     }
 
-    /// The zone of an EPSG code. Neighbouring codes are other projections: 26929 and up are zones of
-    /// the State Plane.
+    /// The zone of an EPSG code. Neighbouring codes are other projections: 26929 and up are zones
+    /// of the State Plane.
     fn of_code(code: u32) -> Option<Self> {
         let (first, north) = match code {
             32_601..=32_660 => (32_600, true),

@@ -155,8 +155,8 @@ fn least_squares(
     })
 }
 
-/// Returns the rotation nearest to a covariance, and the sum of the signed singular values; `None` if
-/// only one of these differs from 0.
+/// Returns the rotation nearest to a covariance, and the sum of the signed singular values; `None`
+/// if only one of these differs from 0.
 fn rotation(covariance: Matrix3<f64>) -> Option<(Matrix3<f64>, f64)> {
     let SVD {
         u,

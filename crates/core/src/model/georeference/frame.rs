@@ -245,8 +245,8 @@ fn farthest(flat: &[[f64; 2]], candidates: &[usize], angle: f64) -> Option<usize
         .iter()
         .map(|&v| along(v))
         .fold(f64::NEG_INFINITY, f64::max);
-    // Ties go to the point farthest ahead counter-clockwise, so that no corner is on the edge between
-    // two others.
+    // Ties go to the point farthest ahead counter-clockwise, so that no corner is on the edge
+    // between two others.
     let ahead = |v: usize| flat[v][1] * cos - flat[v][0] * sin;
     let ties = candidates.iter().copied().filter(|&v| along(v) == most);
     ties.max_by(|&a, &b| ahead(a).total_cmp(&ahead(b)))

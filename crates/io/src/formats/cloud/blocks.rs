@@ -1,4 +1,5 @@
-//! Blocks of neighbouring points, of which a view shows few: only the points of those are projected.
+//! Blocks of neighbouring points, of which a view shows few: only the points of those are
+//! projected.
 
 use std::f64::consts::FRAC_PI_2;
 

@@ -53,8 +53,8 @@ impl Chunk {
         Ok(foreign)
     }
 
-    /// Names of the images of all cameras: their labels. Of several cameras of a label, each has its
-    /// group, or its sensor, for a folder, and its id where that does not tell them apart.
+    /// Names of the images of all cameras: their labels. Of several cameras of a label, each has
+    /// its group, or its sensor, for a folder, and its id where that does not tell them apart.
     fn names(&self, spelled: &dyn Fn(&str) -> String) -> Vec<String> {
         let mut same_label: HashMap<&str, usize> = HashMap::new();
         let mut same_path: HashMap<(&str, Option<&str>), usize> = HashMap::new();
@@ -99,8 +99,8 @@ impl Chunk {
         })
     }
 
-    /// The placement of a camera in the chunk, its own or by that of its master in a rig, and the id
-    /// of its component; `None` if it is not aligned.
+    /// The placement of a camera in the chunk, its own or by that of its master in a rig, and the
+    /// id of its component; `None` if it is not aligned.
     fn placement<'a>(
         &self,
         camera: &'a ChunkCamera,

@@ -57,7 +57,8 @@ pub(super) struct Similarity {
 const HEIGHTS: std::ops::Range<f64> = -20_000.0..20_000.0;
 
 impl Similarity {
-    /// The place on earth of a chunk that this leads from, if it leads to earth-centred coordinates.
+    /// The place on earth of a chunk that this leads from, if it leads to earth-centred
+    /// coordinates.
     pub fn place(&self) -> Option<Georeference> {
         // Local coordinates taken for earth-centred would be near the centre of the earth.
         let height = Geodetic::from_ecef(&self.translation).height;

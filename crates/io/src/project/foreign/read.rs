@@ -25,8 +25,8 @@ use crate::{
     },
 };
 
-/// Reads the model, and finds the PLY file of its points if it has none of its own; image sizes come
-/// from the image files for formats that don't store them.
+/// Reads the model, and finds the PLY file of its points if it has none of its own; image sizes
+/// come from the image files for formats that don't store them.
 pub(in crate::project) fn read(
     root: &Path,
     model: &ModelLocation,

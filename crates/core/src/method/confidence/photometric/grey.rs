@@ -44,8 +44,8 @@ impl Grey {
         self.levels.iter().rposition(is_enough).unwrap_or_default()
     }
 
-    /// Samples a level bilinearly at a position in shares of the picture's width and height, clamped
-    /// to the picture; rounded to a grey level.
+    /// Samples a level bilinearly at a position in shares of the picture's width and height,
+    /// clamped to the picture; rounded to a grey level.
     pub fn at(&self, level: usize, [x, y]: [f64; 2]) -> u8 {
         let level = &self.levels[level];
         let clamp =

@@ -67,7 +67,8 @@ impl Spacing {
 /// Geometric mean of the GSDs of several views, which threads add.
 #[derive(Default)]
 struct MeanGsd {
-    /// Sum of the fixed-point logarithms: it does not depend on the order in which threads add them.
+    /// Sum of the fixed-point logarithms: it does not depend on the order in which threads add
+    /// them.
     sum: AtomicI64,
     views: AtomicU32,
 }

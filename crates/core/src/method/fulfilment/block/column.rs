@@ -170,8 +170,8 @@ impl ColumnKernel<'_, '_> {
     }
 }
 
-/// Returns the information of the partner's pixels, in the frame of each triangle's ray and relative
-/// to the key view's; 0 where the partner does not see the triangle.
+/// Returns the information of the partner's pixels, in the frame of each triangle's ray and
+/// relative to the key view's; 0 where the partner does not see the triangle.
 #[inline(always)]
 fn information(
     triangles: &TriangleLanes,

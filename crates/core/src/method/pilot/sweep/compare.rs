@@ -19,8 +19,8 @@ pub(super) struct Row {
 /// Sums over windows.
 #[derive(Default)]
 pub(super) struct Sums {
-    /// Of the last [`WINDOW`] rows: sums over the columns of a window of the partner, its square, and
-    /// its product with the key picture.
+    /// Of the last [`WINDOW`] rows: sums over the columns of a window of the partner, its square,
+    /// and its product with the key picture.
     ring: Vec<f32>,
     product: Vec<f32>,
     /// Of a row of pixels: the same over whole windows, and the correlation.
@@ -215,7 +215,8 @@ impl Sums {
         clear(&mut self.correlation, width);
     }
 
-    /// Adds up a row over the columns of each window, in the place of that which leaves the windows.
+    /// Adds up a row over the columns of each window, in the place of that which leaves the
+    /// windows.
     #[inline(always)]
     fn add_row(&mut self, y: usize, width: usize, warped: &[f32], key: &[f32]) {
         let wide = warped.len();

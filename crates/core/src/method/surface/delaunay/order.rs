@@ -96,8 +96,8 @@ fn sort(
     Ok(())
 }
 
-/// Copies entries to a buffer in the order of the digit above `bits`; returns the end of each digit's
-/// part.
+/// Copies entries to a buffer in the order of the digit above `bits`; returns the end of each
+/// digit's part.
 fn distribute(
     places: &[Place],
     buffer: &mut [Place],
