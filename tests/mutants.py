@@ -48,16 +48,20 @@ class Mutant:
     def place(self, text):
         """Where the old code is, as (start, end), however rustfmt breaks its lines."""
         before, old, after = map(pattern, (self.around[0], self.old, self.around[1]))
-        found = list(re.finditer(rf"{before}\s*({old})\s*{after}", text))
+        found = list(re.finditer(rf"{before}{BETWEEN}({old}){BETWEEN}{after}", text))
         if len(found) != 1:
             sys.exit(f"{self}: {len(found)} such places, not one")
         return found[0].span(1)
 
 
+# Between two tokens: blanks and comments.
+BETWEEN = r"(?:\s|//[^\n]*\n)*"
+
+
 def pattern(code):
-    """A regular expression of the same tokens, with any blanks between them; before a bracket closes, rustfmt adds commas."""
+    """A regular expression of the same tokens, with anything BETWEEN them; before a bracket closes, rustfmt adds commas."""
     tokens = re.findall(r"\w+|[^\w\s]", code)
-    return r"\s*".join((r",?\s*" if token in ")]}" else "") + re.escape(token) for token in tokens)
+    return BETWEEN.join((rf",?{BETWEEN}" if token in ")]}" else "") + re.escape(token) for token in tokens)
 
 
 def read_list():
