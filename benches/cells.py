@@ -221,7 +221,7 @@ class Colmap(Bench):
 
 
 class PatchmatchNet(Bench):
-    """Matched in the project, which keeps none of the maps: plans with maps that are there are others."""
+    """Matched in the project, from which the maps are moved: plans change where maps are there."""
 
     def match_all(self, plan, scale):
         command = [self.args.viewrank, "run", self.project, "--backend", "patchmatchnet", "--budget", "100%", "--target", "100%", "--quiet"]

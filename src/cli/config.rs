@@ -84,7 +84,7 @@ fn load_in(
         root: None,
         project: folder.map(|folder| folder.join("viewrank.toml")),
     };
-    // The loader asks for a number alone, so the reason why there is none waits here.
+    // The closure can only return a number, so the error is kept for after the loading.
     let unread = Cell::new(None);
     let metres = |settings: &Settings| {
         let read = metres_per_unit(project?, settings);

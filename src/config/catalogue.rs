@@ -162,7 +162,6 @@ fn key(name: String, schema: &Map<String, Value>, default: &Value) -> Key {
             .map(String::from)
     };
     let number = |attribute: &str| schema.get(attribute).and_then(Value::as_f64);
-    let max = number("maximum");
     Key {
         name,
         doc: text("description").unwrap_or_default().replace('\n', " "),
@@ -175,7 +174,7 @@ fn key(name: String, schema: &Map<String, Value>, default: &Value) -> Key {
             .unwrap_or(false),
         above: number("exclusiveMinimum"),
         min: number("minimum"),
-        max,
+        max: number("maximum"),
     }
 }
 

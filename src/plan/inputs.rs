@@ -304,10 +304,7 @@ fn in_force(
     };
     all.target.accuracy.get_or_insert(gsd);
     // By the settings as given: in `all`, the accuracy is set by now.
-    all.target.mode = all
-        .target
-        .mode
-        .in_force(settings.target.gsd.or(settings.target.accuracy).is_some());
+    all.target.mode = settings.target.mode_in_force();
     all.target.gsd = Some(gsd);
     // With fewer candidates than k, no view could have k partners.
     all.partners.candidates = all.partners.candidates.max(all.partners.k);

@@ -17,8 +17,6 @@ VARYING = {"viewrank/timings.json"} | {
 # Number of a command's changes that fail in turn without VIEWRANK_LONG=1. tests/it/output/ has each change of each kind of set for the library,
 # through which all commands write.
 MOST = 4
-# The same of those that compare photographs, which takes seconds each time.
-MOST_WITH_PHOTOGRAPHS = 2
 
 PLAN = ["plan", "p", "--quiet", "--confidence", "geometric", "--backend", "sgm,openmvs"]
 COMMANDS = {
@@ -149,8 +147,7 @@ def test_each_write_in_turn(name, faults, place, tmp_path):
     new, changes = place.files(), int(counted.read_text())
     assert new != old and changes > 3
     failed = 0
-    most = MOST_WITH_PHOTOGRAPHS if name in ("plan that compares photographs", "train") else MOST
-    for at in spread(range(1, changes + 1), most):
+    for at in spread(range(1, changes + 1), MOST):
         # As a disk that stays full, and as an error that passes.
         for dies in ({"FAULT_DIES": "1"}, {}) if LONG else ({"FAULT_DIES": "1"},) if at % 2 else ({},):
             place.restore(saved)

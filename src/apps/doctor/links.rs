@@ -121,7 +121,7 @@ fn overlaps(inputs: &Inputs, view: ViewIndex) -> (ViewIndex, Vec<Overlap>) {
     }
     let scene = inputs.scene;
     let centre = scene.view(view).cam_from_world.centre();
-    // Views without points share none with anybody, which says nothing against their neighbours.
+    // A view without points has none in common with any other, which is no fault of its neighbours.
     let mut others: Vec<(f64, ViewIndex)> = scene
         .view_indices()
         .filter(|&v| v != view && !inputs.points.observed_by(v).is_empty())

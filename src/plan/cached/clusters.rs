@@ -35,7 +35,7 @@ pub(super) fn pack(tables: &Tables) -> Option<Packed> {
         visibility,
         ..
     } = tables;
-    // Memory had no room for these tables, so it has none for packed ones.
+    // These tables did not fit into memory; packed copies beside them would not either.
     if visibility.triangles.storage() == Storage::Disk {
         return None;
     }

@@ -36,14 +36,14 @@ pub enum TargetMode {
     Best,
 }
 
-impl TargetMode {
-    /// Resolves `auto`; `target_is_given`: `gsd` or `accuracy` is set.
-    pub fn in_force(self, target_is_given: bool) -> Self {
-        match self {
-            Self::Auto if target_is_given => Self::Absolute,
+impl TargetSettings {
+    /// Resolves `auto`: absolute if `gsd` or `accuracy` is set.
+    pub fn mode_in_force(&self) -> TargetMode {
+        match self.mode {
+            TargetMode::Auto if self.gsd.or(self.accuracy).is_some() => TargetMode::Absolute,
             // One g_d for a scene that is 50 m deep here and 500 m there would call everything far
             // away a failure.
-            Self::Auto => Self::Best,
+            TargetMode::Auto => TargetMode::Best,
             chosen => chosen,
         }
     }
@@ -68,9 +68,7 @@ impl Target {
     /// of a view at t being the depth of the centroid over the mean focal length (the distance
     /// where a camera has no depth: equirectangular), in pixels of the matched image.
     pub fn new(shown: &Shown, settings: &TargetSettings, gsd: f64, image_scale: f64) -> Self {
-        let mode = settings
-            .mode
-            .in_force(settings.gsd.or(settings.accuracy).is_some());
+        let mode = settings.mode_in_force();
         let accuracy_over_gsd = settings.accuracy.map_or(1.0, |accuracy| accuracy / gsd);
         let wanted = |&finest: &f32| {
             // The margin leaves room for views from a little farther away.
