@@ -12,7 +12,7 @@ cells, and cells.json with the shares, from which benches/tables.py makes the ta
 With COLMAP, run.sh of the export matches and fuses, and its clouds are compared with those of COLMAP's default min_num_pixels, also with exact depth (as in benches/partners.py) where there is any.
 PROGRAM needs a card, or is benches/colmap_cpu.py, whose depths are those of another PatchMatch. With --maps, the photometric maps of all views are those of a workspace that COLMAP has matched, with whatever partners.
 
-PatchmatchNet is matched by `viewrank run`; no cloud is judged: its cells are those in which its maps agree.
+PatchmatchNet is matched by `viewrank run`. Its cloud does not name the maps of its points, so the cells of the table are those in which its maps agree.
 
 --check also fuses the first maps of two orders at 10 and 30 %, and compares their clouds with what the table says. Needs numpy, scipy and pycolmap; runs resume as those of
 benches/sizes.py, whose folder of maps this shares.
@@ -30,6 +30,7 @@ from pathlib import Path
 
 import colmap_cuda
 from partners import Exact
+from fused import positions
 from scipy.spatial import cKDTree
 from sizes import Bench, OpenMvs, Reference, Sgm
 
@@ -37,8 +38,10 @@ CHECKED = (0.1, 0.3)
 FINISHED = (0.1, 0.2, 0.3, 0.5)
 # Maps that the fusion wants.
 LEAST = {"openmvs": 2, "sgm": 1, "colmap": 2, "patchmatchnet": 2}
-# Their maps alone are judged, without a cloud.
-UNFUSED = ("sgm", "patchmatchnet")
+# Their clouds name the maps of each point; of others, the maps alone make the table.
+NAMED = ("openmvs", "colmap")
+# PatchmatchNet's fusion takes so many of the other maps.
+FUSED_WITH = 24
 # min_num_pixels of stereo_fusion: run.sh's, and COLMAP's default.
 PIXELS = (2, 5)
 
@@ -63,8 +66,8 @@ def main():
     planning = processor_seconds() - before
     every = bench.plan("--budget", "100%", "--target", "100%")
     matching = bench.match(every, 1.0)
-    whole = None if args.matcher in UNFUSED else bench.fuse(every, 1.0)
-    judged = judge(bench, whole is not None)
+    whole = None if args.matcher == "sgm" else bench.fuse(every, 1.0)
+    judged = judge(bench, args.matcher in NAMED)
     shutil.copy(bench.project / "viewrank/evaluation/cells.tsv", bench.work)
     clusters = default["clusters"][: default["cut"]["clusters"]]
     # Some may have no map: OpenMVS found too little of them.
@@ -75,7 +78,7 @@ def main():
     plan = {"maps": len(clusters), "forecast": default["cut"]["share"], "covered": covered, "every n-th": spread}
     plan["seconds"] = {"planning": planning, "matching": len(clusters) * matching, "all": judged["maps"] * matching}
     result = {"set": args.project.resolve().name, "matcher": args.matcher, "image_scale": args.image_scale, "maps": len(every["clusters"]), "cells": judged, "default": plan}
-    result["so far"] = [] if args.matcher == "patchmatchnet" else so_far(bench, every, judged)
+    result["so far"] = so_far(bench, every, judged)
     if whole is not None:
         nth = every_nth(sorted(every["clusters"], key=lambda cluster: cluster["key"]), len(clusters))
         choices = [{**every, "clusters": of} for of in (nth, clusters)]
@@ -102,7 +105,7 @@ def so_far(bench, every, judged):
     for share in FINISHED:
         number = max(2, round(share * len(ranked)))
         shutil.rmtree(folder, ignore_errors=True)
-        for path in (bench.map_of(key) for key in ranked[:number]):
+        for path in (*map(bench.map_of, ranked[:number]), *bench.names()):
             link = folder / path
             link.parent.mkdir(parents=True, exist_ok=True)
             link.hardlink_to(bench.maps(1.0) / path)
@@ -228,6 +231,39 @@ class PatchmatchNet(Bench):
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
         shutil.move(self.project / "viewrank/patchmatchnet", self.maps(scale))
         self.plan("--budget", "100%", "--target", "100%")
+
+    def names(self):
+        return ["view_names.txt"]
+
+    def number_of(self):
+        """Number of each view in the export."""
+        lines = (self.maps(1.0) / "view_names.txt").read_text(encoding="utf-8").splitlines()
+        return {name: int(number) for number, name in (line.split(maxsplit=1) for line in lines)}
+
+    def map_of(self, key):
+        return f"depths/depth_est/{self.number_of()[key]:08}.pfm"
+
+    def fuse(self, plan, scale):
+        """Points of the cloud of the plan's maps, n x 3, by the program's own fusion with the options of run.sh."""
+        whole, joined, number_of = self.maps(scale), (self.work / "joined").resolve(), self.number_of()
+        keys = {number_of[cluster["key"]] for cluster in plan["clusters"]}
+        _, *lines = (whole / "fuse/pair.txt").read_text().splitlines()
+        entries = []
+        for key, others in zip(lines[::2], lines[1::2]):
+            words = others.split()[1:]
+            there = [pair for pair in zip(words[::2], words[1::2]) if int(pair[0]) in keys][:FUSED_WITH]
+            if int(key) in keys and there:
+                entries.append(f"{key}\n{len(there)} " + " ".join(f"{other} {score}" for other, score in there) + "\n")
+        shutil.rmtree(joined, ignore_errors=True)
+        (joined / "depths").mkdir(parents=True)
+        (joined / "pair.txt").write_text(f"{len(entries)}\n" + "".join(entries))
+        for link, folder in {"cams": "cams", "images": "images", "depths/depth_est": "depths/depth_est", "depths/confidence": "depths/confidence"}.items():
+            (joined / link).symlink_to((whole / folder).resolve())
+        options = re.search(r"--output_type fusion .*(?=\))", (whole / "run.sh").read_text())[0].split()
+        folder = os.environ["PATCHMATCHNET"]
+        command = [os.environ.get("PYTHON", "python3"), "eval.py", "--input_folder", joined, "--output_folder", joined / "depths", "--checkpoint_path", os.environ.get("CHECKPOINT", "checkpoints/params_000007.ckpt"), *options]
+        subprocess.run(command, cwd=folder, check=True, stdout=subprocess.DEVNULL)
+        return positions((joined / "depths/fused.ply").read_bytes())
 
 
 if __name__ == "__main__":

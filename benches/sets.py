@@ -2,7 +2,7 @@
 """Makes the data sets that tests and measurements read, in VIEWRANK_DATA, else in target/data.
 
     python3 benches/sets.py --list
-    python3 benches/sets.py SET... [--source CLONE] [--jobs 2]
+    python3 benches/sets.py SET... [--source CLONE] [--jobs 2] [--seed N]
 
 Rendered sets need benches/render/requirements.txt, photographs benches/photographs/requirements.txt and git, `survey` numpy, `formats` git.
 Photographs are cloned from their public repository; --source takes a clone that is there already. A set that is there already is kept; an
@@ -190,10 +190,13 @@ def arguments():
     parser.add_argument("--list", action="store_true", help="kind, images, source, licence and time of each set")
     parser.add_argument("--source", type=Path, help="a clone of the photographs' repository")
     parser.add_argument("--jobs", type=int, default=2, help="processes of the renderer")
+    parser.add_argument("--seed", type=int, help="another scene of the same kind, in SET-seed-N, for rendered sets")
     options = parser.parse_args()
     unknown = set(options.sets) - set(SETS)
     if unknown or not (options.sets or options.list):
         parser.error("no set %s; there are %s" % (", ".join(sorted(unknown)) or "given", ", ".join(SETS)))
+    if options.seed is not None and any(SETS[name].kind != "rendered" for name in options.sets):
+        parser.error("--seed: only rendered sets have one")
     return options
 
 
@@ -209,12 +212,14 @@ def main():
         show()
     data = Path(os.environ.get("VIEWRANK_DATA", ROOT / "target/data"))
     for name in options.sets:
-        folder = data / name
-        if (folder / SETS[name].last).exists():
+        made, folder = SETS[name], data / name
+        if options.seed is not None:
+            made, folder = made._replace(seed=options.seed), data / f"{name}-seed-{options.seed}"
+        if (folder / made.last).exists():
             print("%s is there already: %s" % (name, folder))
             continue
-        print("%s: about %d minutes on two cores" % (folder, SETS[name].minutes), flush=True)
-        SETS[name].make(folder, options)
+        print("%s: about %d minutes on two cores" % (folder, made.minutes), flush=True)
+        made.make(folder, options)
 
 
 if __name__ == "__main__":

@@ -114,6 +114,10 @@ class Bench:
     def maps(self, scale):
         return self.work / f"maps-{scale:g}"
 
+    def names(self):
+        """Paths in the folder of all maps by which `viewrank evaluate` knows whose they are, if their own do not say it."""
+        return []
+
     def match(self, plan, scale):
         """CPU seconds per map of the size; matches all of them once."""
         note = self.work / f"seconds-{scale:g}.json"

@@ -332,8 +332,7 @@ pub struct Capabilities {
     pub notes: &'static str,
 }
 
-/// By COLMAP's photometric depth maps of a room, the only ones of a PatchMatch on a GPU (method
-/// 7.4).
+/// By COLMAP's photometric depth maps of a room, the only ones of a PatchMatch on a GPU.
 const BY_COLMAPS_MAPS: Photometric = Photometric {
     agree: 0.95,
     differ: 0.02,
@@ -355,8 +354,8 @@ const PATCH_MATCH: PlanningNumbers = PlanningNumbers {
     photometric: BY_COLMAPS_MAPS,
     support: 2,
     work: openmvs::WORK,
-    measured: "no: openmvs's",
-    source: "not measured: gate and geometric confidence of OpenMVS, agreement of COLMAP, other PatchMatches (method 7.1, 7.2, 7.4); support 2: depth \
+    measured: None,
+    source: "not measured: gate and geometric confidence of OpenMVS, agreement of COLMAP, other PatchMatches (method 7.1, 7.2); support 2: depth \
              maps are joined where they agree",
 };
 

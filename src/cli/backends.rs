@@ -108,7 +108,7 @@ fn table(entries: &[Entry]) -> Vec<String> {
                 "any".into()
             },
             p.support.to_string(),
-            p.measured.into(),
+            p.measured.unwrap_or("no: openmvs's").into(),
         ]));
     }
     lines.extend(TABLE_NOTES.lines().map(String::from));

@@ -36,6 +36,10 @@ use super::{Failure, Format, config, print, print_json, progress::ProgressDispla
 /// .full_agreement and .min_matches. No ground truth is needed: what counts is whether a map has a
 /// depth. The partners that each map was matched with are those of the matcher's report, of the
 /// maps themselves (OpenMVS), or of the project's plan. Copy the printed lines into viewrank.toml.
+///
+/// They decide about partners and what is said of all maps together; the order of depth maps and
+/// their shares come mostly from thumbnails. Of programs that give every pixel a depth, as
+/// PatchmatchNet does, there is nothing to learn this way.
 #[derive(Args)]
 pub struct Arguments {
     /// Folder of the project, or its model

@@ -317,7 +317,7 @@ fn is_unsure(stages: &Stages, all: f64, reachable: &Band) -> bool {
 fn unsure(reachable: &Band) -> String {
     format!(
         "the pictures leave open how much will match: all images together may give {reachable} of what is wanted; plan again once the \
-         first depth maps are there"
+         first depth maps are there: what failed in them counts less"
     )
 }
 

@@ -50,6 +50,12 @@ def test_lengths_have_units_where_the_model_has(viewrank, valley):
     assert (manifest(valley)["settings"]["target"]["gsd"], manifest(valley)["settings"]["target"]["accuracy"]) == (0.05, 0.04)
 
 
+def test_shares_of_a_program_that_was_never_measured_are_called_a_guess(viewrank, valley):
+    guess = "Its depth maps were never compared with a plan"
+    assert guess in viewrank("plan", valley, "--confidence", "none", "--backend", "acmm").stdout
+    assert guess not in viewrank("plan", valley, "--confidence", "none", "--backend", "openmvs").stdout
+
+
 NEAR_MISSES = [
     (["rank", "x"], "'plan'"), (["order", "x"], "'plan'"), (["paln", "x"], "'plan'"), (["select", "x"], "'plan'"), (["Rank", "x"], "'plan'"),
     (["match", "x"], "'run'"), (["densify", "x"], "'run'"), (["start", "x"], "'run'"), (["info", "x"], "'inspect'"), (["show", "x"], "'inspect'"),

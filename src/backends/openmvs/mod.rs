@@ -52,7 +52,7 @@ pub(super) const CONFIDENCE: PairConfidence = PairConfidence {
     full_angle_deg: Some(8.0),
 };
 
-/// By depth maps of seven scenes (method 7.4): it fills nearly everything, so that a depth says
+/// By depth maps of seven scenes: it fills nearly everything, so that a depth says
 /// little of a match.
 const PHOTOMETRIC: Photometric = Photometric {
     agree: 0.55,
@@ -80,7 +80,7 @@ pub(super) const PLANNING: PlanningNumbers = PlanningNumbers {
     photometric: PHOTOMETRIC,
     support: MAPS_PER_POINT as u32,
     work: WORK,
-    measured: "valley, 1 more",
+    measured: Some("valley, 1 more"),
     source: "success of v2.3.0 (CPU) on valley: below 5 degrees 0.09 to 0.36, from 8 to 60 degrees flat, no harm by scale up to \
              1.2 octaves (method 7.1, 7.2); no cosine of incidence: real maps of valley and boruszyn are then ranked better, and \
              foreseen better on valley (calibration error 0.02, with it 0.09); \

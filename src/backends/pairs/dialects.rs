@@ -106,9 +106,9 @@ pub static PATCHMATCHNET: Backend = Backend {
             differ: 0.05,
             full_agreement: 0.9,
         },
-        measured: "5 sets, in part",
+        measured: Some("5 sets, in part"),
         source: "agreement: what its fusion keeps of 219 maps of 974abc0 (CPU) of boruszyn, lewis, statue and room; valley took no part and is foreseen \
-                 better too (method 7.4); support 2: its fusion wants one other map that agrees; gate: the numbers of OpenMVS (method 7.1)",
+                 better too; support 2: its fusion wants one other map that agrees; gate: the numbers of OpenMVS (method 7.1)",
         ..PATCH_MATCH
     },
     mixes_sizes: true,

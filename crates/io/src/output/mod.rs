@@ -199,10 +199,7 @@ pub fn recover(root: &Path, disk: &Disk) -> Result<(), OutputError> {
 /// [`OutputError::InTheWay`] if `path` exists, [`OutputError::Io`] or [`OutputError::Denied`] if
 /// its folder isn't accessible.
 pub fn refuse_to_replace(path: &Path) -> Result<(), OutputError> {
-    let folder = path
-        .parent()
-        .filter(|folder| !folder.as_os_str().is_empty())
-        .unwrap_or(Path::new("."));
+    let folder = folder_of(path);
     // A broken link is in the way, too: writing through it would create its target.
     match (path.symlink_metadata(), folder.metadata()) {
         (Ok(found), _) => Err(OutputError::InTheWay {
@@ -294,7 +291,15 @@ fn place(path: &Path, disk: &Disk) -> Result<(Folder, String), OutputError> {
     let name = name.ok_or_else(|| OutputError::Name {
         name: path.display().to_string(),
     })?;
-    Ok((disk.existing(path.parent().unwrap_or(path))?, name.into()))
+    Ok((disk.existing(folder_of(path))?, name.into()))
+}
+
+/// Returns the folder that a file is in: the current one for a bare name.
+fn folder_of(path: &Path) -> &Path {
+    match path.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    }
 }
 
 /// Creates a folder and its missing ancestors.
@@ -439,5 +444,19 @@ impl Hint for OutputError {
             | Self::Journal { path, .. } => Some(path),
             Self::Interrupted { failure, .. } => failure.path(),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_bare_name_is_in_the_current_folder() {
+        assert_eq!(folder_of(Path::new("learnt.toml")), Path::new("."));
+        assert_eq!(folder_of(Path::new("a/learnt.toml")), Path::new("a"));
+        // Nothing is created: the folder is there, and the file was never asked for.
+        let (_, name) = place(Path::new("learnt.toml"), &Disk::REAL).unwrap();
+        assert_eq!(name, "learnt.toml");
     }
 }
