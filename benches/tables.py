@@ -44,7 +44,8 @@ def main():
     openmvs = of_matcher["openmvs"]
     tables = {f"cells-{matcher}": covered(of) for matcher, of in of_matcher.items()}
     tables |= {f"default-{matcher}": default(of) for matcher, of in of_matcher.items()}
-    tables["check-openmvs"] = checked(openmvs)
+    tables |= {f"check-{matcher}": checked(of) for matcher, of in of_matcher.items()}
+    tables["reached-patchmatchnet"] = reached(of_matcher["patchmatchnet"])
     trained = by_set("splats.json")
     tables["splats"] = splats(trained)
     timed = by_set("planning.json")
@@ -102,6 +103,12 @@ def checked(results):
     """The table of cells against real fusions of the first tenth of the maps."""
     rows = [[result["set"], *(f"{of['real']:.1f}, {of['said']:.1f}" for of in result["check"][:2])] for result in results if "check" in result]
     return table(["fused, by the table", "ours", "every n-th"], rows) if rows else []
+
+
+def reached(results):
+    """The share of all maps that `viewrank evaluate` says of the first ones, and the share of the cells that they cover."""
+    rows = [[title(result), *(f"{100 * of['said']:.0f}, {100 * of['real']:.0f}" for of in result["so far"])] for result in results if result["so far"]]
+    return table(["said, covered", "10 %", "20 %", "30 %", "50 %"], rows) if rows else []
 
 
 def splats(of_sets, with_sets=True):
