@@ -22,11 +22,14 @@ use viewrank::Settings;
 use viewrank_core::{
     base::{column::Storage, progress::NoWatcher},
     method::{
-        surface::{self, Surface, SurfaceKind, WantedGsd, refine::MAX_TRIANGLES},
+        surface::{self, WantedGsd, refine::MAX_TRIANGLES},
         target::GSD_MARGIN,
         visibility::{self, Visibility},
     },
-    model::scene::{Scene, ViewIndex},
+    model::{
+        scene::{Scene, ViewIndex},
+        surface::{Surface, SurfaceKind},
+    },
 };
 use viewrank_io::{ply, project::Project};
 

@@ -69,7 +69,6 @@ pub use method::{
     fulfilment::FulfilmentTable,
     partners::Candidates,
     ranking::{Maps, Objective, Ranking},
-    surface::Surface,
     target::Target,
     visibility::Visibility,
 };
@@ -79,6 +78,7 @@ pub use model::{
     cluster::{MapScale, RankedCluster, ViewCluster},
     reason::Reason,
     scene::{PointIndex, Pose, Scene, View, ViewIndex},
+    surface::Surface,
 };
 pub use plan::{
     CurvePoint, Cut, Decision, FinishedMaps, Forecast, Matcher, Plan, PlanError, PlanningNumbers,

@@ -23,7 +23,7 @@ use crate::{
         pilot::{Places, Thumbnails},
         ranking::Objective,
         region::{Ground, Region},
-        surface::{Surface, SurfaceStats},
+        surface::SurfaceStats,
         target::Target,
         twins::Twin,
         visibility::Shown,
@@ -32,6 +32,7 @@ use crate::{
         cluster::{MapScale, ViewCluster},
         georeference::Georeference,
         scene::{Scene, ViewIndex},
+        surface::Surface,
     },
 };
 

@@ -13,10 +13,11 @@ use crate::{
     },
     config::TargetMode,
     method::{
-        surface::{self, Surface, SurfaceError, SurfaceStats, WantedGsd},
+        surface::{self, SurfaceError, SurfaceStats, WantedGsd},
         target::GSD_MARGIN,
         visibility::{self, Visibility},
     },
+    model::surface::Surface,
 };
 
 /// The surface, reduced to triangles that at least one view sees, with its visibility.

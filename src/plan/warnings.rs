@@ -8,11 +8,8 @@ use crate::{
     base::{decimals::significant, error::shortened},
     config::{Budget, Settings, Share, SurfaceChoice},
     decision::DEFAULT_TARGET,
-    method::{
-        confidence::{Confidence, Sharpness},
-        surface::SurfaceKind,
-    },
-    model::scene::ModelWarning,
+    method::confidence::{Confidence, Sharpness},
+    model::{scene::ModelWarning, surface::SurfaceKind},
 };
 
 /// Share of the observations of a table that may contradict it.

@@ -6,7 +6,7 @@
 //!
 //! | section | module | result |
 //! | --- | --- | --- |
-//! | 1 Surface | [`method::surface`] | [`Surface`](method::surface::Surface), from the sparse points of a [`Scene`](model::scene::Scene) |
+//! | 1 Surface | [`method::surface`] | [`Surface`](model::surface::Surface), from the sparse points of a [`Scene`](model::scene::Scene) |
 //! | 2 Visibility | [`method::visibility`] | [`Visibility`](method::visibility::Visibility): the triangles that each view sees |
 //! | 3 Fulfilment | [`method::target`], [`method::fulfilment`] | f of a triangle and a view cluster, from the [`Model`](method::fulfilment::Model) |
 //! | 4 Partners | [`method::partners`] | a [`ViewCluster`](model::cluster::ViewCluster) for each key view, and its row of the [`FulfilmentTable`](method::fulfilment::FulfilmentTable) |

@@ -647,7 +647,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use viewrank_core::method::surface::shapes;
+    use viewrank_core::model::surface::shapes;
 
     const ASCII: &str = "ply\r\nformat ascii 1.0\r\ncomment made by hand\r\nelement vertex 4\r\nproperty float x\r\nproperty float y\r\n\
         property float z\r\nproperty uchar red\r\nelement face 1\r\nproperty list uchar int vertex_index\r\nproperty float q\r\n\

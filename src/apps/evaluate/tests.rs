@@ -17,7 +17,6 @@ use crate::{
         confidence::{Confidence, NO_AGREEMENT, Unary},
         fulfilment::{FulfilmentRule, Model},
         ranking::Objective,
-        surface::Surface,
         synthetic::{SeenTown, Town},
         target::Target,
         visibility::{self, Visibility},
@@ -26,6 +25,7 @@ use crate::{
         camera::{Camera, CameraModel},
         cluster::ViewCluster,
         scene::{Scene, ViewIndex},
+        surface::Surface,
     },
 };
 

@@ -8,11 +8,11 @@ use rayon::prelude::*;
 use super::subject::Subject;
 use crate::{
     base::{connected::components, median::upper_median},
-    method::surface::corners::{BORDER, opposites},
     model::{
         georeference::MapFrame,
         reason::Reason,
         scene::{PointIndex, Scene, ViewIndex},
+        surface::corners::{BORDER, opposites},
     },
     plan::Plan,
 };

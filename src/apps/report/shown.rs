@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, btree_map::Entry};
 
 use nalgebra::{Point3, Vector3};
 
-use crate::method::surface::Surface;
+use crate::model::surface::Surface;
 
 /// Largest number of triangles on the page, about 2 MB with their histories.
 const BUDGET: usize = 40_000;

@@ -10,10 +10,8 @@ use crate::{
         packed::{Packed, Packer, Unpacker, count_gaps, push_gaps, read_gaps},
         rows::Offsets,
     },
-    method::{
-        surface::{Surface, SurfaceKind, SurfaceStats},
-        visibility::Visibility,
-    },
+    method::{surface::SurfaceStats, visibility::Visibility},
+    model::surface::{Surface, SurfaceKind},
 };
 
 /// The small results.

@@ -32,12 +32,12 @@ use crate::{
         fulfilment::FulfilmentTable,
         geometry::Geometry,
         surface::{
-            Surface, SurfaceError,
+            SurfaceError,
             refine::{MAX_TRIANGLES, RefineError, TRIANGLE_BYTES},
         },
         visibility::{self, Visibility},
     },
-    model::scene::Scene,
+    model::{scene::Scene, surface::Surface},
 };
 
 /// The stage whose limit error has its own hint, since later stages are not yet forecast.

@@ -4,8 +4,11 @@ use rayon::prelude::*;
 
 use crate::{
     base::column,
-    method::{surface::Surface, visibility::Visibility},
-    model::scene::{Scene, ViewIndex},
+    method::visibility::Visibility,
+    model::{
+        scene::{Scene, ViewIndex},
+        surface::Surface,
+    },
 };
 
 /// Samples of views and triangles from which the rows of visibility are estimated.

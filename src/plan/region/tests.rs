@@ -13,7 +13,6 @@ use crate::{
     method::{
         ranking::{Objective, TriangleWeight},
         region::{Region, RegionError, RegionKind, ShapeError},
-        surface::Surface,
         synthetic::{Town, block},
         target::Target,
         visibility::{self, Shown, VisibilitySettings},
@@ -21,6 +20,7 @@ use crate::{
     model::{
         georeference::{Geodetic, Georeference, MapFrame},
         scene::Scene,
+        surface::Surface,
     },
     plan::PlanError,
 };

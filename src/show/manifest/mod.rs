@@ -26,11 +26,12 @@ use crate::{
     base::{paths::absolute, printable::to_json},
     config::{Settings, TypedSetting},
     io::project::{ImageFaults, Project},
-    method::surface::{SurfaceKind, SurfaceStats},
+    method::surface::SurfaceStats,
     model::{
         cluster::{MapScale, RankedCluster},
         reason::Reason,
         scene::{Units, ViewIndex},
+        surface::SurfaceKind,
     },
     plan::{Cut, Forecast, OutdatedMap, Plan, ViewStatus},
     show::cell::cell,

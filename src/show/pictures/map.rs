@@ -4,8 +4,8 @@ use nalgebra::Point3;
 
 use crate::{
     base::{bits, column},
-    method::{surface::Surface, visibility::Visibility},
-    model::{georeference::MapFrame, scene::ViewIndex},
+    method::visibility::Visibility,
+    model::{georeference::MapFrame, scene::ViewIndex, surface::Surface},
 };
 
 /// Footprint of each view: the convex hull, seen from above, of the surface that the view sees, as

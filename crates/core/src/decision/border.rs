@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Point2, Point3, SymmetricEigen, Vector3};
 use rayon::prelude::*;
 
-use crate::method::surface::Surface;
+use crate::model::surface::Surface;
 
 /// Width of the border over that of the site.
 const BORDER: f64 = 0.1;
@@ -248,7 +248,7 @@ mod tests {
     use proptest::{collection::vec, prelude::*};
 
     use super::*;
-    use crate::method::surface::SurfaceKind;
+    use crate::model::surface::SurfaceKind;
 
     /// A field of squares of side 1, without `holes`.
     fn field(columns: u32, rows: u32, holes: &[(u32, u32)]) -> Surface {

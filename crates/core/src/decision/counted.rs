@@ -18,11 +18,11 @@ use crate::{
         pilot::{Agreement, Part, Places},
         ranking::{Maps, Objective, Ranker, Ranking, Reached, TriangleWeight},
         region::Region,
-        surface::Surface,
     },
     model::{
         cluster::{MapScale, ViewCluster},
         scene::ViewIndex,
+        surface::Surface,
     },
 };
 

@@ -8,7 +8,6 @@ use crate::{
         partners::Candidates,
         ranking::{Maps, Objective},
         region::Region,
-        surface::Surface,
         target::Target,
         twins::Twin,
         visibility::{Shown, Visibility},
@@ -16,6 +15,7 @@ use crate::{
     model::{
         cluster::{MapScale, ViewCluster},
         scene::{Scene, ViewIndex},
+        surface::Surface,
     },
 };
 

@@ -1,7 +1,7 @@
 //! Geometry of a scene, before confidence: visibility of the triangles and their wanted resolution.
 
-use super::{surface::Surface, target::Target, visibility::Visibility};
-use crate::model::scene::Scene;
+use super::{target::Target, visibility::Visibility};
+use crate::model::{scene::Scene, surface::Surface};
 
 /// Scene with its surface, its visibility table and the wanted resolution of each triangle.
 #[derive(Clone, Copy)]

@@ -15,14 +15,11 @@ use crate::{
         target::{Target, TargetSettings},
         visibility::{self, Shown, Visibility, VisibilitySettings},
     },
-    model::camera::CameraModel,
-};
-use crate::{
-    method::surface::{Surface, SurfaceKind},
     model::{
-        camera::Camera,
+        camera::{Camera, CameraModel},
         mesh::Mesh,
         scene::{CameraIndex, Pose, Scene, View, ViewIndex},
+        surface::{Surface, SurfaceKind},
     },
 };
 

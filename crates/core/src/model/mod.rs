@@ -1,4 +1,5 @@
-//! The sparse model: cameras, views, points and tracks, and its georeference.
+//! The sparse model: cameras, views, points and tracks, and its georeference; surface and clusters,
+//! which the sections of the method hand on.
 
 pub mod arrays;
 pub mod camera;
@@ -7,3 +8,4 @@ pub mod georeference;
 pub mod mesh;
 pub mod reason;
 pub mod scene;
+pub mod surface;

@@ -5,11 +5,12 @@ use rayon::prelude::*;
 
 use super::super::holes::Hole;
 use crate::{
-    method::{surface::Surface, target::GSD_MARGIN},
+    method::target::GSD_MARGIN,
     model::{
         camera::Camera,
         georeference::MapFrame,
         scene::{CameraIndex, Pose, Scene},
+        surface::Surface,
     },
     plan::Plan,
 };

@@ -10,8 +10,11 @@ use crate::{
         kd_tree::KdTree,
         progress::{Cancelled, Watcher},
     },
-    method::{surface::Surface, visibility::Visibility},
-    model::scene::{Scene, ViewIndex, ViewPoints},
+    method::visibility::Visibility,
+    model::{
+        scene::{Scene, ViewIndex, ViewPoints},
+        surface::Surface,
+    },
 };
 
 /// Weights each row of the visibility table 0.5 to 1 by the share of the sparse points nearest to

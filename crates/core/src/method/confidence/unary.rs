@@ -15,10 +15,11 @@ use crate::{
         column::{Column, TableError},
         progress::Watcher,
     },
-    method::{geometry::Geometry, surface::Surface},
+    method::geometry::Geometry,
     model::{
         camera::Camera,
         scene::{Scene, ViewIndex},
+        surface::Surface,
     },
 };
 

@@ -25,12 +25,12 @@ use crate::{
     },
     method::{
         confidence::{Agreement, Confidence, Constellation, PairAgreement, Unary},
-        surface::Surface,
         visibility::{self, Visibility},
     },
     model::{
         cluster::{MapScale, ViewCluster},
         scene::{Scene, ViewIndex},
+        surface::Surface,
     },
 };
 

@@ -6,7 +6,6 @@ use crate::{
     method::{
         confidence::{Confidence, NO_AGREEMENT, PairConfidence, Unary},
         fulfilment::{self, FulfilmentRule},
-        surface::Surface,
         synthetic::{SeenTown, Town},
         target::{Target, TargetSettings},
         visibility::Visibility,
@@ -14,6 +13,7 @@ use crate::{
     model::{
         cluster::{Gate, ViewCluster},
         scene::Scene,
+        surface::Surface,
     },
 };
 

@@ -11,10 +11,11 @@ use nalgebra::Vector3;
 
 use crate::{
     base::rows::Offsets,
-    method::{fulfilment::FulfilmentTable, surface::Surface},
+    method::fulfilment::FulfilmentTable,
     model::{
         cluster::ViewCluster,
         scene::{Scene, ViewIndex},
+        surface::Surface,
     },
 };
 

@@ -1,7 +1,10 @@
 //! The objective (methods 5.1, 5.2 and 5.7): weights of triangles, and the worth of the depth maps
 //! that see them.
 
-use crate::method::{ranking::TriangleWeight, region::Region, surface::Surface, visibility::Shown};
+use crate::{
+    method::{ranking::TriangleWeight, region::Region, visibility::Shown},
+    model::surface::Surface,
+};
 
 /// Worth of a single map at a triangle where the backend's fusion needs several (e of method 5.2).
 /// With 0.1, plans have maps that no other map confirms; between 0.25 and 0.7, the fused area

@@ -15,9 +15,13 @@ use crate::{
         rows::Offsets,
     },
     method::{
-        confidence::Sharpness, surface::Surface, visibility::Visibility, visibility::projected_area,
+        confidence::Sharpness,
+        visibility::{Visibility, projected_area},
     },
-    model::scene::{Scene, ViewIndex},
+    model::{
+        scene::{Scene, ViewIndex},
+        surface::Surface,
+    },
 };
 
 /// Angle between two rays to a place, radians, at which an image helps to draw the other 1/e as

@@ -12,8 +12,10 @@ use super::{
 };
 use crate::{
     base::progress::Watcher,
-    method::surface::Surface,
-    model::georeference::{Georeference, MapFrame},
+    model::{
+        georeference::{Georeference, MapFrame},
+        surface::Surface,
+    },
 };
 
 /// Tolerance of the length of a unit vector.

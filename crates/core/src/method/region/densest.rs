@@ -10,7 +10,7 @@
 
 use rayon::prelude::*;
 
-use crate::method::surface::Surface;
+use crate::model::surface::Surface;
 
 /// Minimum density of an included triangle, relative to the sparsest triangle of the core: half the
 /// resolution.
@@ -96,7 +96,7 @@ mod tests {
     use nalgebra::Point3;
 
     use super::*;
-    use crate::method::surface::SurfaceKind;
+    use crate::model::surface::SurfaceKind;
 
     /// Squares of this side along a grid of n x n on the ground, each of two triangles.
     fn ground(n: u32, side: f64) -> Surface {

@@ -20,13 +20,11 @@ use crate::{
         median::upper_median,
         progress::{Cancelled, Watcher},
     },
-    method::{
-        surface::Surface,
-        visibility::{Visibility, gsd_at},
-    },
+    method::visibility::{Visibility, gsd_at},
     model::{
         georeference::MapFrame,
         scene::{Scene, ViewIndex},
+        surface::Surface,
     },
 };
 

@@ -26,10 +26,10 @@ pub use solid::OpenMesh;
 use self::{areas::MapAreas, solid::Solid};
 use crate::{
     base::progress::Watcher,
-    method::surface::Surface,
     model::{
         georeference::{Georeference, MapFrame},
         mesh::Mesh,
+        surface::Surface,
     },
 };
 

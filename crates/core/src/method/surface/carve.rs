@@ -12,7 +12,6 @@ use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 
 use super::{
-    Surface, SurfaceKind,
     cut::{Capacities, minimum_cut},
     delaunay::{Delaunay, FACET_VERTICES, Facet, INFINITE},
     points::{depth_sigma, extremes, views_of},
@@ -24,7 +23,10 @@ use crate::{
         progress::{Cancelled, Watcher},
     },
     method::surface::SurfaceSettings,
-    model::scene::{PointIndex, Scene, ViewIndex},
+    model::{
+        scene::{PointIndex, Scene, ViewIndex},
+        surface::{Surface, SurfaceKind},
+    },
 };
 
 /// Units of a full vote; fewer where the number of rays could overflow 32 bits.

@@ -1,10 +1,12 @@
 //! Cleans the raw surface (method 1.4) and repairs it to an oriented manifold with borders.
 
-use super::{
-    Surface,
-    corners::{BORDER, opposites, split_fans},
+use crate::{
+    base::connected::components,
+    model::surface::{
+        Surface,
+        corners::{BORDER, opposites, split_fans},
+    },
 };
-use crate::base::connected::components;
 
 /// Limit on edges, as a multiple of their 95th percentile: facets with longer edges span gaps
 /// without points and are mostly wrong (`benches/surface_truth.rs`). At 8 and below, visible parts

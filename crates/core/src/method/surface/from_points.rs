@@ -3,8 +3,7 @@
 use nalgebra::Point3;
 
 use super::{
-    Steps, Surface, SurfaceChoice, SurfaceError, SurfaceSettings, SurfaceStats, WantedGsd, carve,
-    clean,
+    Steps, SurfaceChoice, SurfaceError, SurfaceSettings, SurfaceStats, WantedGsd, carve, clean,
     delaunay::{Delaunay, Dimension},
     points, terrain, with_edges,
 };
@@ -13,6 +12,7 @@ use crate::{
     model::{
         georeference::{self, UprightFrame},
         scene::{PointIndex, Scene},
+        surface::Surface,
     },
 };
 

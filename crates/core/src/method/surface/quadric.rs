@@ -3,7 +3,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::{
+use crate::model::surface::{
     Surface,
     corners::{BORDER, next, prev, vertex},
 };

@@ -6,11 +6,13 @@ use std::collections::BinaryHeap;
 
 use nalgebra::Point3;
 
-use super::{
-    Surface,
-    corners::{BORDER, next, opposites, prev, vertex},
+use crate::{
+    base::progress::{Cancelled, Watcher},
+    model::surface::{
+        Surface,
+        corners::{BORDER, next, opposites, prev, vertex},
+    },
 };
-use crate::base::progress::{Cancelled, Watcher};
 
 /// Largest number of triangles, whatever the memory.
 pub const MAX_TRIANGLES: u64 = 30_000_000;
@@ -224,7 +226,7 @@ mod tests {
     use super::*;
     use crate::{
         base::progress::NoWatcher,
-        method::surface::{manifold::check_manifold, shapes},
+        model::surface::{manifold::check_manifold, shapes},
     };
 
     fn refine_evenly(surface: Surface, limit: f64, most: u64) -> Result<Surface, RefineError> {

@@ -12,12 +12,14 @@ use dary_heap::QuaternaryHeap;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 
-use super::{
-    Surface,
-    corners::{BORDER, next, opposites, prev, swing, unswing, vertex},
-    quadric::{Quadric, vertex_quadrics},
+use super::quadric::{Quadric, vertex_quadrics};
+use crate::{
+    base::progress::{Cancelled, Watcher},
+    model::surface::{
+        Surface,
+        corners::{BORDER, next, opposites, prev, swing, unswing, vertex},
+    },
 };
-use crate::base::progress::{Cancelled, Watcher};
 
 /// Required share of edges longer than the target.
 const LONG_SHARE: f64 = 0.95;
@@ -450,7 +452,7 @@ mod tests {
     use super::*;
     use crate::{
         base::progress::NoWatcher,
-        method::surface::{manifold::check_manifold, shapes},
+        model::surface::{manifold::check_manifold, shapes},
     };
 
     fn evenly(surface: Surface, target: f64) -> Surface {

@@ -6,8 +6,13 @@ use std::cmp::Ordering;
 use nalgebra::Point3;
 use spade::{DelaunayTriangulation, HasPosition, Point2, Triangulation};
 
-use super::{Surface, SurfaceKind};
-use crate::{base::median::upper_median, model::georeference::UprightFrame};
+use crate::{
+    base::median::upper_median,
+    model::{
+        georeference::UprightFrame,
+        surface::{Surface, SurfaceKind},
+    },
+};
 
 /// Number of nodes below which the cells of the height grid are halved.
 const ENOUGH_NODES: usize = 100;

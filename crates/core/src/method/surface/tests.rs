@@ -1,9 +1,9 @@
 //! Whole surfaces from synthetic scenes with known shape, and degenerate input.
 
-use nalgebra::{Matrix3, Point3, Rotation3, Vector2};
+use nalgebra::{Matrix3, Point3, Rotation3, Vector2, Vector3};
 use proptest::prelude::*;
 
-use super::{manifold::check_manifold, *};
+use super::*;
 use crate::{
     base::progress::NoWatcher,
     method::synthetic::Town,
@@ -11,6 +11,7 @@ use crate::{
         camera::{Camera, CameraModel},
         georeference::UprightFrame,
         scene::{CameraIndex, PointIndex, Pose, View, ViewIndex},
+        surface::{manifold::check_manifold, shapes},
     },
 };
 

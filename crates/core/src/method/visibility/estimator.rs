@@ -11,10 +11,10 @@ use super::{
 };
 use crate::{
     base::bits,
-    method::surface::Surface,
     model::{
         camera::{Camera, CameraModel},
         scene::{PointIndex, Pose, Scene, ViewIndex},
+        surface::Surface,
     },
 };
 

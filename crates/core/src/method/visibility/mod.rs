@@ -39,8 +39,10 @@ use crate::{
         progress::{Cancelled, Stage, StepCounter, Watcher},
         rows::Offsets,
     },
-    method::surface::Surface,
-    model::scene::{Scene, ViewIndex, ViewPoints},
+    model::{
+        scene::{Scene, ViewIndex, ViewPoints},
+        surface::Surface,
+    },
 };
 
 /// Layers of the surface, one behind the other, that are drawn in a view on average over its

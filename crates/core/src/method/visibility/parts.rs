@@ -12,10 +12,10 @@ use crate::{
         connected::components,
         progress::{Cancelled, Watcher},
     },
-    method::surface::{Surface, SurfaceKind},
     model::{
         mesh::Mesh,
         scene::{Scene, View},
+        surface::{Surface, SurfaceKind},
     },
 };
 
@@ -115,10 +115,7 @@ fn whole_parts(triangles: &[[u32; 3]], vertices: usize, counts: &[bool]) -> Vec<
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{
-        base::progress::NoWatcher,
-        method::{surface::shapes, synthetic::Town},
-    };
+    use crate::{base::progress::NoWatcher, method::synthetic::Town, model::surface::shapes};
 
     #[test]
     fn a_part_that_no_view_could_see_is_dropped_and_the_rest_is_as_it_was() {

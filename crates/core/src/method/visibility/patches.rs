@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use nalgebra::Point3;
 
-use crate::method::surface::Surface;
+use crate::model::surface::Surface;
 
 /// Triangles per patch: few enough to cull tightly, enough to make culling cheap.
 const PATCH_TRIANGLES: usize = 128;
@@ -151,7 +151,7 @@ fn bounds<'a>(points: impl Iterator<Item = &'a Point3<f64>>) -> (Point3<f64>, Po
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::method::surface::SurfaceKind;
+    use crate::model::surface::SurfaceKind;
 
     #[test]
     fn patches_hold_every_triangle_once() {

@@ -7,10 +7,10 @@ use nalgebra::{Point3, Vector2};
 use super::Visibility;
 use crate::{
     base::column,
-    method::surface::Surface,
     model::{
         camera::{Camera, CameraModel},
         scene::{Scene, ViewIndex},
+        surface::Surface,
     },
 };
 

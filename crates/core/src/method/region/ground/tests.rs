@@ -3,14 +3,12 @@ use nalgebra::{Matrix3, Rotation3};
 use super::*;
 use crate::{
     base::{progress::NoWatcher, rows::Offsets},
-    method::{
-        region::{Area, Areas, Coordinates},
-        surface::SurfaceKind,
-    },
+    method::region::{Area, Areas, Coordinates},
     model::{
         camera::{Camera, CameraModel},
         georeference::Georeference,
         scene::{CameraIndex, Pose, View},
+        surface::SurfaceKind,
     },
 };
 

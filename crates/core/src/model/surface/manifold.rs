@@ -137,7 +137,7 @@ fn component_count(triangles: usize, edges: &HashMap<(u32, u32), usize>) -> usiz
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::method::surface::shapes;
+    use crate::model::surface::shapes;
 
     #[test]
     fn known_shapes_have_their_topology() {

@@ -250,7 +250,7 @@ mod tests {
     use nalgebra::Point3;
 
     use super::*;
-    use crate::method::surface::{SurfaceKind, manifold::check_manifold};
+    use crate::model::surface::{SurfaceKind, manifold::check_manifold, shapes};
 
     fn surface(vertices: &[[f64; 3]], triangles: &[[u32; 3]]) -> Surface {
         Surface {
@@ -349,7 +349,7 @@ mod tests {
             check_manifold(&apart).map(|t| (t.border_edges, t.components)),
             Ok((0, 1))
         );
-        assert_eq!(crate::method::surface::shapes::volume(&apart), 10.0);
+        assert_eq!(shapes::volume(&apart), 10.0);
     }
 
     proptest::proptest! {
