@@ -1,8 +1,43 @@
-//! What is decided with the results of the stages (method 5): the ranking, its cut, the forecast of
-//! its cost, and a reason for everything left out.
+//! What is decided with the results of the stages (5.3 to 5.6 of [method 5]): the ranking, its cut,
+//! the forecast of its cost, and a reason for everything left out.
 //!
-//! [`Tables`] holds the results; [`decide`] ranks the clusters and cuts the ranking by the
-//! [`Options`].
+//! [`Tables`] holds the results; [`decide`] ranks the clusters and cuts the ranking at the shortest
+//! of the limits that are set in [`CutSettings`]. By default that is a share of what all clusters
+//! reach:
+//!
+//! ```text
+//! cut.target   fewest clusters with   Σ_t w_t f_m(V) / Σ_t w_t f_m(all clusters) ≥ 0.9
+//! cut.budget   a number of clusters, or a share of the registered views
+//! cut.time     forecast seconds, cut.points forecast points of the depth maps
+//! points       Σ_t f_conf · projected area of t (px² of the matched image), of a map
+//! ```
+//!
+//! ```
+//! use viewrank_core::{
+//!     base::progress::NoWatcher,
+//!     decision::DEFAULT_TARGET,
+//!     method::{
+//!         fulfilment::FulfilmentTable,
+//!         ranking::{self, Objective},
+//!     },
+//! };
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! // f of four clusters on ten triangles: six, three and one of their own; the last adds nothing.
+//! let row = |triangles: std::ops::Range<u32>| triangles.map(|t| (t, 1.0)).collect::<Vec<_>>();
+//! let fulfilment = FulfilmentTable::new([row(9..10), row(0..6), row(6..9), row(1..5)]);
+//! let objective = Objective::weighing(vec![1.0; 10], 1);
+//! let ranking = ranking::rank(&fulfilment, &objective, &NoWatcher)?;
+//! assert_eq!(ranking.order, [1, 2, 0]);
+//!
+//! let cut = ranking.length_for_share(DEFAULT_TARGET);
+//! assert_eq!(ranking.order[..cut], [1, 2]);
+//! assert!((ranking.share(cut) - 0.9).abs() < 1e-6);
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! [method 5]: https://github.com/viewrank/viewrank/blob/main/docs/method.md#5-ranking
 
 mod band;
 mod border;

@@ -1,4 +1,4 @@
-//! The method: one folder per section of `docs/method.md`. Each depends only on those before it.
+//! The method: one module per section of `docs/method.md`. Each depends only on those before it.
 
 pub mod confidence;
 pub mod fulfilment;

@@ -11,6 +11,8 @@ use rand_pcg::Pcg64;
 use crate::{
     base::{column::Storage, progress::NoWatcher},
     method::{
+        confidence::{Confidence, NO_AGREEMENT, Unary},
+        fulfilment::{CoverageSettings, FulfilmentRule, FulfilmentSettings, Model},
         geometry::Geometry,
         target::{Target, TargetSettings},
         visibility::{self, Shown, Visibility, VisibilitySettings},
@@ -74,6 +76,19 @@ impl SeenTown {
             target,
             image_scale,
         }
+    }
+
+    /// Returns f by the default settings, without confidence (the paper's NoCP).
+    pub fn model<'a>(&'a self, unary: &'a Unary) -> Model<'a> {
+        let FulfilmentSettings { alpha, sigma_px } = FulfilmentSettings::default();
+        let rule = FulfilmentRule {
+            alpha,
+            sigma_px,
+            min_cameras: CoverageSettings::default().min_cameras,
+            image_scale: 1.0,
+            confidence: Confidence::None,
+        };
+        Model::new(self.geometry(1.0), unary, &NO_AGREEMENT, rule)
     }
 }
 

@@ -1,4 +1,33 @@
-//! Wanted resolution and accuracy of each triangle (method 3.6).
+//! Wanted resolution and accuracy of each triangle (3.6 of [method 3]).
+//!
+//! One target for all triangles (`absolute`), or at each what the nearest views can give (`best`):
+//!
+//! ```text
+//! g_d(t) = 1.25 · finest GSD of the views that see t          a_d(t) = g_d(t) · a_d / g_d
+//! ```
+//!
+//! g_d is in scene units per pixel of the matched image, a_d, a standard deviation, in scene units.
+//!
+//! ```
+//! use viewrank_core::method::{
+//!     target::{Target, TargetMode, TargetSettings},
+//!     visibility::Shown,
+//! };
+//!
+//! // Of two triangles, no view sees the second.
+//! let (views, pixels) = (vec![3, 0], vec![600.0, 0.0]);
+//! let shown = Shown { views, pixels, finest_gsd: vec![0.25, f32::INFINITY] };
+//! let target = Target::new(&shown, &TargetSettings::default(), 0.5, 1.0);
+//! assert_eq!(target.mode, TargetMode::Best);
+//! assert_eq!(target.gsd, [0.3125, 0.5]);
+//!
+//! let settings = TargetSettings { accuracy: Some(0.2), ..TargetSettings::default() };
+//! let target = Target::new(&shown, &settings, 0.5, 1.0);
+//! assert_eq!((target.mode, &target.gsd[..]), (TargetMode::Absolute, &[0.5, 0.5][..]));
+//! assert!((target.accuracy(0) - 0.2).abs() < 1e-6);
+//! ```
+//!
+//! [method 3]: https://github.com/viewrank/viewrank/blob/main/docs/method.md#3-fulfilment-of-a-triangle-by-a-cluster
 
 use serde::{Deserialize, Serialize};
 

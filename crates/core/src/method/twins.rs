@@ -1,9 +1,46 @@
-//! Twins (method 4): views that show the same from nearly one place, as photographs taken twice,
+//! Twins ([method 4]): views that show the same from nearly one place, as photographs taken twice,
 //! bursts and brackets do.
 //!
 //! Two maps of one place are wrong together, and no depth follows from comparing their pictures. So
 //! the sharpest of such views takes part for all of them, and the others are set aside: neither key
 //! views nor partners.
+//!
+//! ```text
+//! distance ≤ 0.01 · depth     each shows ≥ 90 % of the other's points     ratio of GSDs ≤ √2
+//! ```
+//!
+//! Distance and depth are in scene units; the depth is the smaller of the two views', each the
+//! lower quartile of the depths of its sparse points.
+//!
+//! ```
+//! use viewrank_core::base::progress::NoWatcher;
+//! use viewrank_core::method::confidence::NoPictures;
+//! use viewrank_core::method::twins::{self, Twin};
+//! use viewrank_core::model::arrays::{Intrinsics, SceneArrays};
+//! use viewrank_core::model::scene::{Scene, ViewIndex};
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! // Three views of a wall at a depth of 10, from x = 0, 0.02 and 1.
+//! let params = vec![100.0, 100.0, 80.0, 60.0];
+//! let pose = |x: f64| [1., 0., 0., -x, 0., 1., 0., 0., 0., 0., 1., 0.];
+//! let scene = Scene::from_arrays(&SceneArrays {
+//!     cameras: vec![Intrinsics { model: "PINHOLE".into(), width: 160, height: 120, params }],
+//!     names: ["a", "b", "c"].map(String::from).to_vec(),
+//!     camera: vec![0; 3],
+//!     cam_from_world: [0.0, 0.02, 1.0].map(pose).to_vec(),
+//!     points: (0..35).map(|i| [f64::from(i % 7 - 3), f64::from(i / 7 - 2), 10.0]).collect(),
+//!     // The first observes every second point, the others observe all.
+//!     observations: (0..105).map(|i| [i / 3, i % 3]).filter(|o| o[1] > 0 || o[0] % 2 == 0).collect(),
+//!     pixels: Vec::new(),
+//! })?;
+//! let source = (&NoPictures as _, 1.0);
+//! let twins = twins::twins(&scene, &scene.view_points(), (&[], &[]), source, &NoWatcher)?;
+//! assert_eq!(twins, [Twin { view: ViewIndex(0), sharper: ViewIndex(1) }]);
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! [method 4]: https://github.com/viewrank/viewrank/blob/main/docs/method.md#4-partners
 
 use std::{
     cmp::Ordering,

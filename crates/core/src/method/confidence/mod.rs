@@ -1,8 +1,45 @@
-//! Confidence (method 7): predicts where the backend will succeed.
+//! Confidence ([method 7]): predicts where the backend will succeed.
 //!
 //! p_i(t), the probability that the pair (key view, partner i) measures triangle t, comes from the
 //! agreement of the two pictures on the surface ([`Agreement`]), or, without pictures, from the
 //! geometry of the pair ([`PairConfidence`]) and the sparse points and masks around ([`Unary`]).
+//!
+//! ```text
+//! photometric   p_i = differ + (agree − differ) · min(max(NCC_i, 0) / full_agreement, 1)
+//! geometric     p_i = g_i · (u_key + u_i) / 2 · m_key · m_i
+//!               g_i = p₀ · min(cos θ_key, cos θ_i)^γ · min(angle / a, 1)
+//!                     · exp(−½ (log2(l_i / l_key) / s)²)
+//! f_conf        P(at least min_matches of the independent matches i succeed)
+//! ```
+//!
+//! θ is the incidence at t, l the distance of a camera from t, s in octaves, angle and a in
+//! degrees; u and m, of a view by itself, and all else are 0 to 1.
+//!
+//! ```
+//! use viewrank_core::method::confidence::{Confidence, Constellation, PairConfidence, Photometric};
+//!
+//! let numbers = PairConfidence {
+//!     min_matches: 1,
+//!     p0: 0.6,
+//!     cosine_power: 0.0,
+//!     scale_octaves: None,
+//!     full_angle_deg: Some(8.0),
+//! };
+//! let confidence = Confidence::Pair(numbers);
+//! // Half of the full angle: half of p₀.
+//! let pair = Constellation { cos_key: 1.0, cos_partner: 0.9, octaves: 0.0, angle_deg: 4.0 };
+//! let p = confidence.pair(&pair, 1.0);
+//! assert!((p - 0.3).abs() < 1e-12);
+//! // One of two such matches is enough: 1 − 0.7².
+//! assert!((confidence.at_least([p, p].into_iter()) - 0.51).abs() < 1e-12);
+//!
+//! // Agreement is stored as 1 + 254 NCC, or 0 where two pictures share no patch.
+//! let pictures = Photometric { agree: 0.95, differ: 0.02, full_agreement: 0.9 };
+//! assert!((pictures.chance(255) - 0.95).abs() < 1e-12);
+//! assert_eq!([pictures.chance(1), pictures.chance(0)], [0.02, 0.0]);
+//! ```
+//!
+//! [method 7]: https://github.com/viewrank/viewrank/blob/main/docs/method.md#7-confidence
 
 mod geometric;
 mod mask;
@@ -20,7 +57,8 @@ pub use photometric::{
     SPACING, SampleRoom, Sharpness,
 };
 pub use pictures::{
-    ALL_COUNTS, NOT_COMPARED, NOT_PLANNED, PictureError, PictureFault, Pictures, picture_warnings,
+    ALL_COUNTS, NOT_COMPARED, NOT_PLANNED, NoPictures, PictureError, PictureFault, Pictures,
+    picture_warnings,
 };
 pub use settings::{ConfidenceSettings, ConfidenceSource};
 pub use unary::{AROUND, AtTriangle, Unary};

@@ -31,6 +31,28 @@ pub trait Pictures: Sync {
     fn mask(&self, scene: &Scene, view: ViewIndex) -> Result<Option<Mask>, PictureError>;
 }
 
+/// A project without photographs.
+pub struct NoPictures;
+
+impl Pictures for NoPictures {
+    fn have_images(&self) -> bool {
+        false
+    }
+
+    fn grey(
+        &self,
+        _: &Scene,
+        _: ViewIndex,
+        _: f64,
+    ) -> Result<Option<(Grey, Option<Mask>)>, PictureError> {
+        Ok(None)
+    }
+
+    fn mask(&self, _: &Scene, _: ViewIndex) -> Result<Option<Mask>, PictureError> {
+        Ok(None)
+    }
+}
+
 /// A picture or mask that cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[error("{cause}")]

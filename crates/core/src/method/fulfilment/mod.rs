@@ -1,9 +1,49 @@
-//! Fulfilment (method 3): how well a cluster meets the wanted completeness, resolution and accuracy
-//! on a triangle, 0 to 1.
+//! Fulfilment ([method 3]): how well a cluster meets the wanted completeness, resolution and
+//! accuracy on a triangle, 0 to 1.
 //!
-//! `f = (alpha f_res + (1 - alpha) f_unc) f_cov f_conf`, each factor in [0, 1]. [`Model`] holds all
-//! inputs of f; [`value`] is its definition in f64, for one (cluster, triangle) pair. [`block`]
-//! computes the same for many triangles at once.
+//! [`Model`] holds all inputs of f; [`value`] is its definition in f64, for one (cluster, triangle)
+//! pair. [`block`] computes the same for many triangles at once.
+//!
+//! ```text
+//! f     = (α f_res + (1 − α) f_unc) · f_cov · f_conf     each factor 0 to 1
+//! f_res = min(ρ g_d², 1)                                 ρ: px² of the key view per area of t
+//! f_unc = min(a_d / √u, 1)                               u: largest eigenvalue of Cov
+//! Cov   = (Σ_c J_cᵀ J_c / σ_px²)⁻¹                       3 × 3, world frame, scene units²
+//! ```
+//!
+//! f_cov is 1 where enough cameras see t, else 0; f_conf is the [confidence](super::confidence).
+//! J_c is the 2 × 3 Jacobian of the projection at the centroid of t, pixels of the matched image
+//! per scene unit, of the key view and of each partner that sees t; g_d and a_d are the
+//! [target](super::target).
+//!
+//! ```
+//! use viewrank_core::{
+//!     base::column::Storage,
+//!     method::{confidence::Unary, fulfilment, synthetic::Town, target::TargetSettings},
+//!     model::scene::ViewIndex,
+//! };
+//!
+//! // Pixels of 5 cm, and points that are right to 1 cm.
+//! let wanted = TargetSettings { accuracy: Some(0.01), ..TargetSettings::default() };
+//! let town = Town { edge: 4.0, points: 300, ..Town::default() };
+//! let town = town.seen(&wanted, 0.05, Storage::Memory);
+//! let unary = Unary::certain();
+//! let model = town.model(&unary);
+//!
+//! let key = ViewIndex(12);
+//! let triangle = town.visibility.triangles_seen_by(key)[0];
+//! let mut partners = town.visibility.views();
+//! partners.retain(|&view| view != key && town.visibility.row(view, triangle).is_some());
+//! let f = |partners| fulfilment::value(&model, key, partners, triangle);
+//! let [one, two, all] = [f(&partners[..1]), f(&partners[..2]), f(&partners)];
+//! // Three cameras must see a triangle, the key view among them.
+//! assert_eq!([one.coverage, two.coverage], [0.0, 1.0]);
+//! // Partners add accuracy; the resolution is that of the key view.
+//! assert!(two.uncertainty < all.uncertainty && two.resolution == all.resolution);
+//! assert_eq!(all.value, 0.5 * all.resolution + 0.5 * all.uncertainty);
+//! ```
+//!
+//! [method 3]: https://github.com/viewrank/viewrank/blob/main/docs/method.md#3-fulfilment-of-a-triangle-by-a-cluster
 
 pub mod block;
 mod by_triangle;

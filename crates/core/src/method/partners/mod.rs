@@ -1,8 +1,45 @@
-//! Selection of the matching partners of each key view (method 4).
+//! Selection of the matching partners of each key view ([method 4]).
 //!
-//! [`CandidateSearch`] finds the views with the most shared sparse points that the backend can
-//! match; [`choose`] selects k of them for each key view, as in the paper ([`sampled`]) or by a
-//! search that continues from there ([`search`]).
+//! [`CandidateSearch`] finds the n views with the most shared sparse points that the backend can
+//! match; [`choose`] selects k of them for each key view, as in the paper (`sampled`) or by a
+//! search that continues from there (`search`). Both look for the set of partners with the largest
+//! sum
+//!
+//! ```text
+//! Σ_t f(t, v)          v: the key view with k of its n candidates
+//! ```
+//!
+//! over the triangles t that the key view sees; `sampled` judges by a sample of them, `search` by
+//! all in the end. f, 0 to 1, is [fulfilment](super::fulfilment).
+//!
+//! ```
+//! use viewrank_core::base::{column::Storage, progress::NoWatcher};
+//! use viewrank_core::method::partners::{self, Limits, PartnerMethod, PartnerSettings};
+//! use viewrank_core::method::{confidence::Unary, synthetic::Town, target::TargetSettings};
+//! use viewrank_core::model::cluster::Gate;
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! let town = Town { edge: 4.0, points: 300, ..Town::default() }
+//!     .seen(&TargetSettings::default(), 0.05, Storage::Memory);
+//! let unary = Unary::certain();
+//! let model = town.model(&unary);
+//! let (mut settings, points) = (PartnerSettings::default(), town.scene.view_points());
+//! let limits = Limits::gate(&Gate::OPEN);
+//! let candidates = partners::candidates(&town.scene, &points, &settings, &limits, &NoWatcher)?;
+//!
+//! let mut sums = Vec::new();
+//! for method in [PartnerMethod::Sampled, PartnerMethod::Search] {
+//!     settings.method = method;
+//!     let (clusters, table) = partners::choose(&model, &candidates, &settings, 0, &NoWatcher)?;
+//!     assert!(clusters.iter().all(|cluster| cluster.partners.len() <= settings.k as usize));
+//!     sums.push(table.values.iter().sum::<f32>());
+//! }
+//! assert!(sums[0] < sums[1]);
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! [method 4]: https://github.com/viewrank/viewrank/blob/main/docs/method.md#4-partners
 
 mod candidates;
 mod gate;

@@ -1,9 +1,54 @@
-//! The pilot (method 5.9): all views are matched once, in thumbnails, before anything is ranked.
+//! The pilot (5.9 of [method 5]): all views are matched once, in thumbnails, before anything is
+//! ranked.
 //!
 //! A pilot map shows what no prediction does: a dense surface where there are no sparse points,
 //! which map takes part where, and where pictures do not match. [`PilotMap`]s come from a plane
-//! sweep against the planned partners ([`sweep`]); only what other maps confirm is kept
-//! ([`confirm`]); and the [`Places`] on which they agree are what the ranking counts.
+//! sweep against the planned partners (`sweep`); only what other maps confirm is kept (`confirm`);
+//! and the [`Places`] on which they agree are what the ranking counts.
+//!
+//! ```text
+//! cost of a plane   64 (1 − NCC)         mean of the three best partners, 5 × 5 pixels
+//! depths agree      |z / z′ − 1| < max(1.5 %, ¼ step between planes), at most 3 %
+//! place             one for each cube of edge 2 g,   g = 1.25 · finest GSD, a power of two
+//! ```
+//!
+//! Depths z are along the axis of a thumbnail's camera, g, per pixel of the thumbnails, and the
+//! cubes are in world coordinates, all in scene units.
+//!
+//! ```
+//! use viewrank_core::base::progress::NoWatcher;
+//! use viewrank_core::method::confidence::NoPictures;
+//! use viewrank_core::method::pilot::{self, PilotMap, Places, Thumbnails};
+//! use viewrank_core::model::arrays::{Intrinsics, SceneArrays};
+//! use viewrank_core::model::{cluster::ViewCluster, scene::{Scene, ViewIndex}};
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! // Four views beside each other of a wall at z = 10. The map of the last has another depth.
+//! let params = vec![140.0, 140.0, 80.0, 60.0];
+//! let pose = |x: f64| [1., 0., 0., -x, 0., 1., 0., 0., 0., 0., 1., 0.];
+//! let scene = Scene::from_arrays(&SceneArrays {
+//!     cameras: vec![Intrinsics { model: "PINHOLE".into(), width: 160, height: 120, params }],
+//!     names: ["a", "b", "c", "d"].map(String::from).to_vec(),
+//!     camera: vec![0; 4],
+//!     cam_from_world: [0.0, 1.0, 2.0, 3.0].map(pose).to_vec(),
+//!     ..SceneArrays::default()
+//! })?;
+//! let views = [0, 1, 2, 3].map(ViewIndex);
+//! let partners = |key| views.into_iter().filter(|&view| view != key).collect();
+//! let clusters = views.map(|key| ViewCluster { key, partners: partners(key) });
+//! let depths = [10.0, 10.0, 10.0, 5.0];
+//! let made = views.map(|v| PilotMap::made_by_program(&scene, v, |_| Some(depths[v.index()])));
+//! let (model, source) = ((&scene, &scene.view_points()), (&NoPictures as _, 1.0));
+//! let thumbnails = Thumbnails::new(4);
+//! let maps = pilot::maps(model, &clusters, made.to_vec(), thumbnails, source, &NoWatcher)?;
+//! let places = Places::new(&clusters, maps, 2, 1.0, &NoWatcher)?;
+//! assert!(places.centres.iter().all(|place| (place.z - 10.0).abs() < 1e-3));
+//! assert!(!places.of_view(views[0]).is_empty() && places.of_view(views[3]).is_empty());
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! [method 5]: https://github.com/viewrank/viewrank/blob/main/docs/method.md#5-ranking
 
 mod aggregate;
 mod confirm;
@@ -183,7 +228,7 @@ mod tests {
     use super::*;
     use crate::{
         base::progress::NoWatcher,
-        method::confidence::{Grey, Mask, PictureError},
+        method::confidence::{Grey, Mask, NoPictures, PictureError},
         model::{
             camera::CameraModel,
             scene::{CameraIndex, Pose},
@@ -192,28 +237,6 @@ mod tests {
 
     /// Pictures of a ground with texture at z = 10, and of a wall 3 in front of it where x > 1.
     struct Stage;
-
-    /// A project without photographs.
-    struct NoPictures;
-
-    impl Pictures for NoPictures {
-        fn have_images(&self) -> bool {
-            false
-        }
-
-        fn grey(
-            &self,
-            _: &Scene,
-            _: ViewIndex,
-            _: f64,
-        ) -> Result<Option<(Grey, Option<Mask>)>, PictureError> {
-            Ok(None)
-        }
-
-        fn mask(&self, _: &Scene, _: ViewIndex) -> Result<Option<Mask>, PictureError> {
-            Ok(None)
-        }
-    }
 
     /// Depth of what a view shows at a pixel, and its grey level.
     fn shown(scene: &Scene, view: ViewIndex, x: f64, y: f64) -> (f64, u8) {

@@ -1,8 +1,19 @@
-//! Ranking (method 5): the order in which the view clusters are computed.
+//! Ranking ([method 5]): the order in which the view clusters are computed.
 //!
 //! Greedy: the next cluster is the one that adds most to the [`Objective`]. The objective is
 //! monotone, but submodular only if a single map is enough: a map gains worth when another one can
 //! confirm it. Gains are therefore kept up to date instead of evaluated lazily.
+//!
+//! ```text
+//! f_o(V) = Σ_t w_t g_t(V),   Σ_t w_t = 1
+//! g_t    = f_1                                                    m = 1
+//! g_t    = (f_m + e · mean(f_1 … f_{m−1})) / (1 + e)              m > 1,   e = 0.5
+//! share  = Σ_t w_t f_m(V) / Σ_t w_t f_m(all clusters)
+//! ```
+//!
+//! f_1 ≥ f_2 ≥ … are the f of the clusters V at triangle t, m the number of maps that must agree
+//! there; f and w_t are 0 to 1. With a [pilot](super::pilot), t is a place. [`Redrawing`] ranks the
+//! images of programs that match no pairs (5.10).
 //!
 //! ```
 //! use viewrank_core::{
@@ -27,6 +38,8 @@
 //! # Ok(())
 //! # }
 //! ```
+//!
+//! [method 5]: https://github.com/viewrank/viewrank/blob/main/docs/method.md#5-ranking
 
 mod belief;
 mod bound;

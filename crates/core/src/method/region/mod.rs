@@ -1,8 +1,41 @@
-//! Region of interest (method 5.7): the part of the scene that is planned for.
+//! Region of interest (5.7 of [method 5]): the part of the scene that is planned for.
 //!
 //! A region is a set of polygons on the map, a box, a closed mesh, or `auto`. The other stages see
-//! it only as a factor on the weight of each triangle and, for polygons, a wanted g_d. The factor
-//! is the mean over 16 samples of the triangle: the share inside, times the weight of the polygons.
+//! it only as a factor on the weight of each triangle and, for polygons, a wanted g_d.
+//!
+//! ```text
+//! weight of t   factor(t) · w_t / Σ factor · w
+//! factor(t)     mean of the areas' weight at 16 samples of t, 0 outside, 1 inside a box or mesh
+//! core of auto  ends where m ln(m / a) + (1 − m) ln((1 − m) / (1 − a)) is largest
+//! ```
+//!
+//! m and a, 0 to 1, are the shares of all pixels and of the area that the triangles with most
+//! pixels per area have together. Boxes and meshes are in world coordinates and scene units.
+//!
+//! ```
+//! use viewrank_core::{
+//!     base::progress::NoWatcher,
+//!     method::{ranking::Objective, region::RegionShape, synthetic::Town},
+//! };
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! // Triangles of 2 m, of which the side of the box at x = 1 cuts some.
+//! let surface = Town::default().surface();
+//! let region = RegionShape::of_box([1.0, -40.0, -40.0, 40.0, 40.0, 40.0]);
+//! let region = region.lay_over(&surface, &[], &NoWatcher)?;
+//! assert!(region.factors.iter().all(|factor| (16.0 * factor).fract() == 0.0));
+//! assert!(region.factors.iter().any(|&factor| factor > 0.0 && factor < 1.0));
+//!
+//! let objective = Objective::by_area(&surface, Some(&region), 1);
+//! assert!((objective.weights.iter().sum::<f64>() - 1.0).abs() < 1e-9);
+//! for (t, &weight) in (0..).zip(&objective.weights) {
+//!     assert_eq!(weight > 0.0, region.is_inside(t));
+//! }
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! [method 5]: https://github.com/viewrank/viewrank/blob/main/docs/method.md#5-ranking
 
 mod areas;
 mod columns;

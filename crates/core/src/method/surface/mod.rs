@@ -1,9 +1,48 @@
-//! Surface (method 1): from sparse points to an oriented triangle mesh.
+//! Surface ([method 1]): from sparse points to an oriented triangle mesh.
 //!
-//! `delaunay` tetrahedralises the points, `carve` casts rays from cameras to points through the
-//! cells, `cut` separates inside from outside, `clean` keeps the visible part as an oriented
-//! manifold, `simplify` and `refine` adjust the edge lengths to the target; `terrain` is the 2.5D
-//! variant for nadir flights.
+//! The points are tetrahedralised ([`delaunay`]), and the rays from cameras to points vote on what
+//! is outside ([`carve`]). A minimum cut parts outside from inside ([`cut`]); [`clean`] keeps what
+//! rays reach as an oriented manifold, and [`simplify`] and [`refine`] adjust the edges to the
+//! wanted GSD g_d. [`terrain`] is the 2.5D variant for nadir flights.
+//!
+//! ```text
+//! facet that a ray crosses, d before its point   α_vis (1 − exp(−d² / 2σ²))
+//! every facet                                    λ (1 − min(cos φ, cos ψ))
+//! edges                                          95 % above r g_d, all below e g_d
+//! ```
+//!
+//! The cut pays the first line where a ray would enter the inside, the second for every facet
+//! between outside and inside. d, σ, the depth uncertainty of the points, and g_d, per pixel, are
+//! lengths in scene units, φ and ψ the angles of the facet with the circumspheres of its two cells;
+//! α_vis, λ, r and e are [settings], which have no unit. Vertices are in world coordinates.
+//!
+//! ```
+//! use viewrank_core::{
+//!     base::progress::NoWatcher,
+//!     method::{
+//!         surface::{self, SurfaceSettings, WantedGsd},
+//!         synthetic::Town,
+//!     },
+//!     model::surface::SurfaceKind,
+//! };
+//!
+//! # fn main() -> Result<(), surface::SurfaceError> {
+//! // Boxes on hills, 80 m wide.
+//! let scene = Town { points: 1500, ..Town::default() }.scene();
+//! let (gsd, settings) = (0.1, SurfaceSettings::default());
+//! let wanted = WantedGsd::uniform(gsd);
+//! let (surface, stats) = surface::build(&scene, &wanted, &settings, None, 100_000, &NoWatcher)?;
+//!
+//! assert_eq!(surface.kind, SurfaceKind::Carved);
+//! assert!(stats.simplified_triangles < stats.cleaned_triangles);
+//! let sides = (0..stats.triangles as u32).flat_map(|t| surface.sides(t));
+//! assert!(sides.fold(0.0, f64::max) < settings.max_edge_factor * gsd);
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! [method 1]: https://github.com/viewrank/viewrank/blob/main/docs/method.md#1-surface
+//! [settings]: SurfaceSettings
 
 pub mod carve;
 pub mod clean;

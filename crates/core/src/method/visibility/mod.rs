@@ -1,11 +1,52 @@
-//! Visibility (method 2): the triangles that each view sees.
+//! Visibility ([method 2]): the triangles that each view sees.
 //!
 //! A triangle is visible in a view if its corners and centroid are in front of the camera, its
 //! centroid projects into the image, it faces the camera, and at least half of its samples have
 //! nothing in front of them by more than a tolerance. Samples are pixels of a rendered buffer of
-//! inverse depth and triangle ([`buffer`]). A triangle that covers fewer than four pixels is
-//! sampled at its centroid and corners by rays instead, against the triangles in the surrounding
-//! pixels.
+//! inverse depth and triangle (`buffer`). A triangle that covers fewer than four pixels is sampled
+//! at its centroid and corners by rays instead, against the triangles in the surrounding pixels.
+//!
+//! ```text
+//! angle(normal, direction to the camera) < max_incidence_deg                       85°
+//! free samples / samples ≥ min_free_share                                          0.5
+//! tolerance = max(tolerance_edges · r g_d, tolerance_depth · depth)                0.1, 0.005
+//! ```
+//!
+//! Depths and r g_d, the edge length of the simplified surface, are in scene units, depths along
+//! the camera's axis; the numbers are the defaults of [`VisibilitySettings`].
+//!
+//! ```
+//! use viewrank_core::base::{column::Storage, progress::NoWatcher};
+//! use viewrank_core::method::visibility::{self, VisibilitySettings};
+//! use viewrank_core::model::arrays::{Intrinsics, SceneArrays};
+//! use viewrank_core::model::scene::{Scene, ViewIndex};
+//! use viewrank_core::model::surface::{Surface, SurfaceKind};
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! let params = vec![100.0, 100.0, 50.0, 50.0];
+//! let scene = Scene::from_arrays(&SceneArrays {
+//!     cameras: vec![Intrinsics { model: "PINHOLE".into(), width: 100, height: 100, params }],
+//!     names: vec!["down.jpg".into()],
+//!     camera: vec![0],
+//!     // From a height of 10, looking down.
+//!     cam_from_world: vec![[1., 0., 0., 0., 0., -1., 0., 0., 0., 0., -1., 10.]],
+//!     ..SceneArrays::default()
+//! })?;
+//! // Two triangles make a square on the ground; a third is above the first, at a height of 5.
+//! let ground = [[-2., -2., 0.], [2., -2., 0.], [-2., 2., 0.], [2., 2., 0.]];
+//! let above = [[-2., -2., 5.], [2., -2., 5.], [-2., 2., 5.]];
+//! let vertices = ground.into_iter().chain(above).map(Into::into).collect();
+//! let triangles = vec![[0, 1, 2], [1, 3, 2], [4, 5, 6]];
+//! let surface = Surface { kind: SurfaceKind::Mesh, vertices, triangles };
+//! let (points, settings, keep) =
+//!     (scene.view_points(), VisibilitySettings::default(), Storage::Memory);
+//! let seen = visibility::estimate(&scene, &points, &surface, &settings, 1.0, keep, &NoWatcher)?;
+//! assert_eq!(seen.triangles_seen_by(ViewIndex(0)), [1, 2]);
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! [method 2]: https://github.com/viewrank/viewrank/blob/main/docs/method.md#2-visibility
 
 mod buffer;
 mod estimator;
