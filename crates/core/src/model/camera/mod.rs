@@ -1,5 +1,5 @@
 //! Camera models: projection, its Jacobian, undistortion. Models and parameter order are COLMAP's
-//! (`sensor/models.h`); [`lens`] has the mathematics.
+//! (`sensor/models.h`); `lens` has the mathematics.
 
 mod lens;
 
@@ -288,7 +288,7 @@ impl Camera {
     }
 
     /// Pixels that an image or a mask of this camera may have: as many as the camera, or as a
-    /// picture of [`COPY_PIXELS`].
+    /// picture of `COPY_PIXELS`.
     pub fn most_picture_pixels(&self) -> PixelBound {
         PixelBound::new((u64::from(self.width) * u64::from(self.height)).max(COPY_PIXELS))
     }

@@ -196,7 +196,7 @@ impl MapFrame {
     }
 
     /// Convex hull of points seen from above, in at most as many corners as there are
-    /// [`HULL_DIRECTIONS`]: world coordinates, counter-clockwise, not closed.
+    /// `HULL_DIRECTIONS`: world coordinates, counter-clockwise, not closed.
     pub fn hull(&self, points: &[Point3<f64>]) -> Vec<Point3<f64>> {
         let flat: Vec<[f64; 2]> = points
             .iter()
