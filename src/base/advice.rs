@@ -3,7 +3,7 @@
 use viewrank_core::base::error::Advice;
 
 /// Settings whose option has not the name of their key.
-const OPTIONS: [(&str, &str); 10] = [
+const OPTIONS: [(&str, &str); 11] = [
     ("target.gsd", "--gsd"),
     ("surface.mesh", "--mesh"),
     ("pilot.maps", "--pilot"),
@@ -14,6 +14,7 @@ const OPTIONS: [(&str, &str); 10] = [
     ("cut.target", "--target"),
     ("cut.budget", "--budget"),
     ("cut.time", "--time"),
+    ("test_every", "--test-every"),
 ];
 
 /// Writes settings as options of the program.

@@ -3,8 +3,9 @@
 use std::{collections::BTreeMap, path::PathBuf};
 
 use crate::{
+    base::advice::on_command_line,
     io::project::{ModelFormat, ModelLocation, Project, ProjectKind},
-    model::scene::{ModelWarning, Scene, Units, WarningKind},
+    model::scene::{Scene, Units, WarningKind},
     plan,
 };
 use clap::Args;
@@ -132,7 +133,11 @@ fn inspect(project: &Project, scene: &Scene) -> Inspection {
             .into_iter()
             .chain(others)
             .collect(),
-        warnings: scene.warnings.iter().map(ModelWarning::describe).collect(),
+        warnings: scene
+            .warnings
+            .iter()
+            .map(|warning| on_command_line(&warning.describe()))
+            .collect(),
     }
 }
 

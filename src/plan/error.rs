@@ -46,7 +46,7 @@ pub enum PlanError {
     NoObservations {
         model: std::path::PathBuf,
         what: String,
-        cure: Option<String>,
+        cure: Option<Advice>,
     },
     #[error(
         "cannot derive the ground sampling distance: no view observes a sparse point in front of it"
@@ -157,8 +157,10 @@ impl Hint for PlanError {
         Some(match self {
             Self::Project(error) => return error.hint(),
             Self::NoViews { why, .. } if why.iter().any(|why| why.cure.is_some()) => {
-                let cures: Vec<&str> = why.iter().filter_map(|why| why.cure.as_deref()).collect();
-                cures.join("; ").into()
+                let cures = why.iter().filter_map(|why| why.cure.clone());
+                cures
+                    .reduce(|all, cure| all.and("; ").join(cure))
+                    .unwrap_or_default()
             }
             Self::NoViews { .. } => {
                 Advice::text("run structure from motion first, or choose another model with ")
@@ -181,7 +183,7 @@ impl Hint for PlanError {
             )
             .into(),
             Self::NoObservations { cure, .. } => match cure {
-                Some(cure) => cure.clone().into(),
+                Some(cure) => cure.clone(),
                 None => "export the model again, with its sparse points and their tracks".into(),
             },
             Self::NoScale => Advice::text("look for wrong poses: ").run("doctor"),

@@ -5,7 +5,11 @@ use std::borrow::Cow;
 use super::{Band, Cut, Decision, FinishedMaps, GroundSummary, Stages};
 use crate::method::ranking::Ranking;
 use crate::{
-    base::{decimals::significant, error::shortened},
+    base::{
+        advice::on_command_line,
+        decimals::significant,
+        error::{Advice, shortened},
+    },
     config::{Budget, Settings, Share, SurfaceChoice},
     decision::DEFAULT_TARGET,
     method::confidence::{Confidence, Sharpness},
@@ -33,7 +37,10 @@ const NAMED: usize = 3;
 pub fn warnings(stages: &Stages, decision: &Decision, finished: &FinishedMaps) -> Vec<String> {
     let Decision { ranking, cut, .. } = decision;
     let of_model = &stages.scene.warnings;
-    let mut warnings: Vec<String> = of_model.iter().map(ModelWarning::describe).collect();
+    let mut warnings: Vec<String> = of_model
+        .iter()
+        .map(|w| on_command_line(&w.describe()))
+        .collect();
     warnings.extend(stages.picture_warnings.iter().cloned());
     warnings.extend(blurred(stages));
     warnings.extend(missed(stages));
@@ -238,10 +245,19 @@ fn little_fulfilled(ranking: &Ranking, band: Option<&Band>, lacks_images: bool) 
     let given = ranking.reachable;
     let band = band.map_or_else(String::new, |band| format!(" (likely {band})"));
     let more = if lacks_images {
-        "first add the images that are missing or cannot be used (viewrank doctor)"
+        Advice::text("first add the images that are missing or cannot be used (")
+            .run("doctor")
+            .and(")")
     } else {
-        "a coarser --gsd, more partners (-k) or a --region without the background may give more"
+        Advice::text("a coarser ")
+            .set("target.gsd")
+            .and(", more partners (")
+            .set("partners.k")
+            .and(") or a ")
+            .set("region")
+            .and(" without the background may give more")
     };
+    let more = on_command_line(&more);
     // That nothing is reached at all is an error of its own.
     (!ranking.order.is_empty() && given < LITTLE).then(|| {
         format!(
@@ -266,7 +282,9 @@ fn more_than_all(stages: &Stages) -> Option<String> {
         all => (all, "images"),
     };
     (budget > all as u64).then(|| {
-        format!("--budget {budget} is more than the {all} {what} there are: the plan has all")
+        let budget = Advice::default().set_to("cut.budget", budget.to_string());
+        let is_more = format!(" is more than the {all} {what} there are: the plan has all");
+        on_command_line(&budget.and(is_more))
     })
 }
 
@@ -275,9 +293,16 @@ fn no_number_of_images(stages: &Stages) -> Option<String> {
     let limits = &stages.settings.cut;
     let is_default = limits.limits() == 1 && limits.target == Some(Share(DEFAULT_TARGET));
     (!stages.makes_maps && is_default).then(|| {
-        "no number of images was given: the share says how well these draw the others, and a training gains from more; set it \
-         (--budget 60 or --budget 25%), and keep images apart to measure the training (--test-every 8)"
-            .into()
+        let advice = Advice::text(
+            "no number of images was given: the share says how well these draw the others, and a training gains from more; set it (",
+        )
+        .set_to("cut.budget", "60")
+        .and(" or ")
+        .set_to("cut.budget", "25%")
+        .and("), and keep images apart to measure the training (")
+        .set_to("test_every", "8")
+        .and(")");
+        on_command_line(&advice)
     })
 }
 
@@ -321,11 +346,12 @@ fn unsure(reachable: &Band) -> String {
 fn contradictions(stages: &Stages) -> Option<String> {
     let share = stages.visibility.contradictions as f64 / stages.scene.observations().max(1) as f64;
     (share > CONTRADICTIONS).then(|| {
-        format!(
+        let what = format!(
             "{:.0} % of the observations contradict the surface (views observe points that it hides from them); \
-             give a better surface with viewrank plan --mesh",
+             give a better surface with ",
             share * 100.0
-        )
+        );
+        on_command_line(&Advice::text(what).run("plan ").set("surface.mesh"))
     })
 }
 

@@ -1,7 +1,10 @@
 //! Damaged, contradictory and hostile models: an error with place and cure, no panic, no memory for
 //! what is only announced.
 
-use viewrank_core::{base::error::Hint, model::scene::Scene};
+use viewrank_core::{
+    base::error::{Advice, Hint},
+    model::scene::Scene,
+};
 use viewrank_io::{
     formats::{Bytes, Fault, Place, Problem, colmap_bin, colmap_text},
     project::{Project, ProjectError},
@@ -99,7 +102,7 @@ fn fault(change: impl FnOnce(&mut Files)) -> Fault {
     let mut files = valid();
     change(&mut files);
     let fault = read(&files).unwrap_err();
-    assert!(!fault.problem.hint().is_empty());
+    assert_ne!(fault.problem.hint(), Advice::default());
     fault
 }
 

@@ -116,7 +116,7 @@ pub fn text_as_binary(path: &Path) -> Option<Mistaken> {
 }
 
 /// JSON of another kind in a `transforms.json`, by the fault of reading it.
-pub fn json_without_frames(path: &Path, fault: &Fault) -> Option<Mistaken> {
+pub fn json_without_frames(path: &Path, fault: &Fault) -> Option<&'static str> {
     let Problem::Content(what) = &fault.problem else {
         return None;
     };
@@ -127,13 +127,10 @@ pub fn json_without_frames(path: &Path, fault: &Fault) -> Option<Mistaken> {
     let start = input::read_start(path, FileKind::Sparse, START).ok()?;
     let start = String::from_utf8_lossy(&start);
     let is_geojson = ["\"FeatureCollection\"", "\"Feature\"", "\"coordinates\""];
-    Some(Mistaken {
-        what: if is_geojson.iter().any(|word| start.contains(word)) {
-            "GeoJSON, not the cameras of nerfstudio"
-        } else {
-            "JSON of another kind, without the frames of nerfstudio"
-        },
-        cure: "give it another name, and put the transforms.json with the cameras in its place (a region is given by --region FILE)",
+    Some(if is_geojson.iter().any(|word| start.contains(word)) {
+        "GeoJSON, not the cameras of nerfstudio"
+    } else {
+        "JSON of another kind, without the frames of nerfstudio"
     })
 }
 

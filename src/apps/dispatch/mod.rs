@@ -518,19 +518,20 @@ pub enum DispatchError {
     Output(#[from] OutputError),
     #[error(transparent)]
     Backend(#[from] BackendError),
-    #[error("--target {wanted} is more than the plan's {planned}, at which tasks stop")]
+    #[error("a target of {wanted} is more than the plan's {planned}, at which tasks stop")]
     Target { wanted: Share, planned: Share },
 }
 
 /// Offers the matcher that comes with viewrank, where it would run. Its own program is never
 /// missing unless somebody named another.
-fn or_sgm() -> &'static str {
+fn or_sgm() -> Advice {
     let runs_here = backends::by_name("sgm").is_ok_and(backends::can_match_here);
-    if runs_here {
-        ", or match with --backend sgm, whose program is here"
-    } else {
-        ""
+    if !runs_here {
+        return Advice::default();
     }
+    Advice::text(", or match with ")
+        .set_to("backends", "sgm")
+        .and(", whose program is here")
 }
 
 impl Hint for DispatchError {
@@ -539,29 +540,32 @@ impl Hint for DispatchError {
             Self::NoTasks { project, backend } => {
                 let with_tasks = BACKENDS.iter().filter(|backend| backend.tasks.is_some());
                 let names: Vec<&str> = with_tasks.map(|backend| backend.name).collect();
-                format!(
-                    "run what `viewrank plan {} --backend {backend}` prints, or take one of --backend {}",
-                    command_path(project),
-                    names.join(", ")
-                )
-                .into()
+                let project = command_path(project);
+                Advice::text("run what `")
+                    .run(format!("plan {project} --backend {backend}"))
+                    .and("` prints, or take one of ")
+                    .set_to("backends", names.join(", "))
             }
             Self::Program { program, .. } if program.is_dir() => {
                 "it is a folder: name the program in it".into()
             }
             Self::Program { variable, .. } => {
-                let or_sgm = or_sgm();
-                format!(
-                    "name it with --program or {variable}{or_sgm}; where only the nodes of a queue have it, see viewrank dispatch --setup"
-                )
-                .into()
+                Advice::text("name it with ")
+                    .set("program")
+                    .and(format!(" or {variable}"))
+                    .join(or_sgm())
+                    .and("; where only the nodes of a queue have it, see ")
+                    .run("dispatch --setup")
             }
             Self::Start { program, .. } if slurm::COMMANDS.contains(&&**program) => {
-                "run this where SLURM's commands are, or take --scheduler shell".into()
+                Advice::text("run this where SLURM's commands are, or take ")
+                    .set_to("scheduler", "shell")
             }
             Self::Start { .. } => "put it on the PATH; PYTHON names another Python".into(),
             Self::Export(_) => "write the export again: viewrank plan, or viewrank dispatch".into(),
-            Self::Refused { .. } => "see the queue's message; --dry-run shows all commands".into(),
+            Self::Refused { .. } => Advice::text("see the queue's message; ")
+                .set("dry-run")
+                .and(" shows all commands"),
             Self::Answer { .. } => "look whether that command works by itself".into(),
             Self::Stuck => "look with squeue, then try again".into(),
             Self::Busy(_) => "wait for it to end, or stop it with Ctrl-C; the same command, typed again, goes on from there".into(),

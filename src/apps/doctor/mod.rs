@@ -21,7 +21,7 @@ use serde::Serialize;
 
 use crate::{
     backends::{self, Backend, CUT_PANORAMAS, ExaminedProject},
-    base::shell::command_path,
+    base::{advice::on_command_line, shell::command_path},
     config::{Settings, UnknownBackend},
     io::project::{ImageFaults, Project},
     model::scene::{Scene, ViewIndex, ViewPoints},
@@ -185,8 +185,8 @@ fn no_views(scene: &Scene) -> Finding {
         .iter()
         .map(|why| format!("; {}", why.text))
         .collect::<String>();
-    let cures = scene.warnings.iter().filter_map(|why| why.cure.as_deref());
-    let cure = match cures.collect::<Vec<_>>().join("; ") {
+    let cures = scene.warnings.iter().filter_map(|why| why.cure.as_ref());
+    let cure = match cures.map(on_command_line).collect::<Vec<_>>().join("; ") {
         none if none.is_empty() => {
             "register the images first (viewrank inspect shows the model's contents)".into()
         }

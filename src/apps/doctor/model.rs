@@ -2,6 +2,7 @@
 
 use super::{FEW, Finding, Inputs, Severity, ViewFinding, counted};
 use crate::{
+    base::{advice::on_command_line, error::Advice},
     io::project::ProjectKind,
     model::scene::{ModelWarning, WarningKind},
 };
@@ -21,7 +22,7 @@ pub fn findings(inputs: &Inputs) -> Vec<Finding> {
 fn warnings(inputs: &Inputs) -> Vec<Finding> {
     let finding = |warning: &ModelWarning| {
         let (severity, check, cure) = match warning.kind {
-            WarningKind::OtherModels => return other_models(inputs, &warning.text),
+            WarningKind::OtherModels => return other_models(inputs, warning),
             WarningKind::OtherParts => (
                 Severity::Warning,
                 "other-sub-models",
@@ -59,14 +60,15 @@ fn warnings(inputs: &Inputs) -> Vec<Finding> {
             ),
         };
         // The reader knows the format, and so the better remedy.
-        let cure = warning.cure.as_deref().unwrap_or(cure);
+        let cure = warning.cure.as_ref().map_or(cure.into(), on_command_line);
         Finding::new(severity, check, &warning.text, cure)
     };
     inputs.scene.warnings.iter().map(finding).collect()
 }
 
 /// Reports sub-models that are not read; copies of the one that is read are harmless.
-fn other_models(inputs: &Inputs, what: &str) -> Finding {
+fn other_models(inputs: &Inputs, warning: &ModelWarning) -> Finding {
+    let what = &warning.text;
     let others = &inputs.project.other_models;
     let copies = inputs.project.copies(inputs.scene);
     if !copies.is_empty() && copies.len() == others.len() {
@@ -89,7 +91,11 @@ fn other_models(inputs: &Inputs, what: &str) -> Finding {
     } else {
         "join them in the program that made them"
     };
-    let cure = format!("{join}; until then, plan each by itself (--model)");
+    let another = warning
+        .cure
+        .clone()
+        .unwrap_or_else(|| Advice::text("plan each by itself (").set("model").and(")"));
+    let cure = on_command_line(&Advice::text(join).and("; until then, ").join(another));
     Finding::new(severity, "other-sub-models", what, cure)
 }
 

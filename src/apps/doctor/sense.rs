@@ -4,7 +4,7 @@ use std::ops::RangeInclusive;
 
 use super::{Finding, Inputs, MOST, Severity, counted};
 use crate::{
-    base::median::upper_median,
+    base::{advice::on_command_line, error::Advice, median::upper_median},
     io::project::Turned,
     model::{
         georeference::{Georeference, MapFrame, UPRIGHT},
@@ -139,8 +139,12 @@ fn wanted(inputs: &Inputs) -> Option<Finding> {
     let place = plan::georeference(inputs.project, inputs.scene, frame);
     let metres = plan::metres(inputs.settings.units, &place);
     let what = plan::unlikely_gsd(inputs.scene.median_gsd(), inputs.settings, metres)?;
-    let cure =
-        "look at the median that viewrank inspect shows, and correct --gsd and target.accuracy";
+    let cure = Advice::text("look at the median that ")
+        .run("inspect")
+        .and(" shows, and correct ")
+        .set("target.gsd")
+        .and(" and target.accuracy");
+    let cure = on_command_line(&cure);
     Some(Finding::new(
         Severity::Warning,
         "impossible-target",

@@ -525,7 +525,7 @@ impl Hint for EvaluateError {
             Self::DepthMap(error) => return error.hint(),
             Self::Report(error) => return error.hint(),
             Self::NoClusters(_) => {
-                "give the depth maps of this plan, or the clusters that they were made for with --clusters".into()
+                Advice::text("give the depth maps of this plan, or the clusters that they were made for with ").set("clusters")
             }
             Self::OtherSizes { .. } => "plan again with the image_scale that they were made with: it is a line of viewrank.toml in the project".into(),
             Self::NotHalf { .. } => "match the same clusters again at half the image size, into another folder".into(),

@@ -204,7 +204,8 @@ impl Hint for TrainError {
                 Some("plan the project again, or keep the matcher's report beside its maps".into())
             }
             Self::NothingCompared => {
-                Some("name the images with --images, and finish some depth maps first".into())
+                let name = Advice::text("name the images with ").set("images");
+                Some(name.and(", and finish some depth maps first"))
             }
         }
     }

@@ -581,7 +581,9 @@ impl Hint for ReportError {
     fn hint(&self) -> Option<Advice> {
         match self {
             Self::DepthMaps(error) => error.hint(),
-            Self::NothingToCompare(_) => Some("name their folder with --depth-maps".into()),
+            Self::NothingToCompare(_) => {
+                Some(Advice::text("name their folder with ").set("depth-maps"))
+            }
             Self::Disk(error) => error.hint(),
             Self::Table(error) => error.hint(),
             Self::Visibility(error) => error.hint(),

@@ -10,7 +10,7 @@ use crate::{
         EvaluateError, EvaluationInput, MeasuredClusters, MeasuredProgress, MeasuredSurface,
         curve::ReachCurve, orders, other_sizes_in_words,
     },
-    base::progress::Watcher,
+    base::{advice::on_command_line, error::Advice, progress::Watcher},
     io::{
         depthmaps::{self, DepthMapError},
         project::Project,
@@ -165,10 +165,12 @@ fn others_of(plan: &Plan, project: &Project) -> Option<String> {
         .iter()
         .filter(|folder| Some(*folder) != own.as_ref());
     let other = others.find(|folder| depthmaps::find(folder, &plan.stages.scene).is_ok())?;
-    Some(format!(
-        "the depth maps in {} are of another program than the plan, and do not count; --depth-maps shows them",
+    let what = format!(
+        "the depth maps in {} are of another program than the plan, and do not count; ",
         other.display()
-    ))
+    );
+    let shown = Advice::text(what).set("depth-maps").and(" shows them");
+    Some(on_command_line(&shown))
 }
 
 fn task<'a>(

@@ -69,7 +69,13 @@ impl Hint for RegionFileError {
             RegionFault::Mistaken(mistaken) => {
                 return Some(mistaken.cure.replace("FILE", &command_path(path)).into());
             }
-            RegionFault::Hidden => "name the file with --region yourself to see it",
+            RegionFault::Hidden => {
+                return Some(
+                    Advice::text("name the file with ")
+                        .set("region")
+                        .and(" yourself to see it"),
+                );
+            }
             RegionFault::Read(_) => "check that the file exists and is readable",
             RegionFault::Crossing(_) => {
                 "put the corners of that ring in order, or split it into polygons"

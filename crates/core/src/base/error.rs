@@ -83,6 +83,12 @@ impl Advice {
         self
     }
 
+    /// Continues with other advice.
+    pub fn join(mut self, other: Self) -> Self {
+        self.0.extend(other.0);
+        self
+    }
+
     /// Writes the advice; `set` writes a setting with its value.
     pub fn describe(&self, set: impl Fn(&str, Option<&str>) -> String) -> String {
         let part = |part: &Part| match part {

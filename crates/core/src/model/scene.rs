@@ -12,7 +12,11 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    base::{error::shortened, median::median, rows::Offsets},
+    base::{
+        error::{Advice, shortened},
+        median::median,
+        rows::Offsets,
+    },
     model::{camera::Camera, georeference::Georeference},
 };
 
@@ -150,7 +154,7 @@ pub struct ModelWarning {
     /// A sentence for users.
     pub text: String,
     /// The remedy, if the reader knows a better one than those of the kind.
-    pub cure: Option<String>,
+    pub cure: Option<Advice>,
 }
 
 impl ModelWarning {
@@ -162,7 +166,7 @@ impl ModelWarning {
         }
     }
 
-    pub fn with_cure(self, cure: impl Into<String>) -> Self {
+    pub fn with_cure(self, cure: impl Into<Advice>) -> Self {
         Self {
             cure: Some(cure.into()),
             ..self
@@ -170,10 +174,11 @@ impl ModelWarning {
     }
 
     /// The sentence with its remedy.
-    pub fn describe(&self) -> String {
+    pub fn describe(&self) -> Advice {
+        let text = Advice::text(&self.text);
         match &self.cure {
-            Some(cure) => format!("{}: {cure}", self.text),
-            None => self.text.clone(),
+            Some(cure) => text.and(": ").join(cure.clone()),
+            None => text,
         }
     }
 }

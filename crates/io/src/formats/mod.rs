@@ -29,7 +29,10 @@ use std::{
     path::{Component, Path},
 };
 
-use viewrank_core::{base::error::shortened, model::camera::CameraError};
+use viewrank_core::{
+    base::error::{Advice, shortened},
+    model::camera::CameraError,
+};
 
 /// Contents of the files of a COLMAP model, binary or text.
 #[derive(Clone, Copy, Debug, Default)]
@@ -169,8 +172,8 @@ impl Problem {
     }
 
     /// Hint: what to do about the problem.
-    pub fn hint(&self) -> &'static str {
-        match self {
+    pub fn hint(&self) -> Advice {
+        let text = match self {
             Self::Truncated(_) | Self::Count { .. } => {
                 "copy or export the file again: it is incomplete or damaged"
             }
@@ -193,7 +196,9 @@ impl Problem {
                 "copy or export the file again: it is incomplete or damaged"
             }
             Self::Name { why: OUTSIDE, .. } => {
-                "name the folder of the images with --images: there they are found by the last parts of their names"
+                return Advice::text("name the folder of the images with ")
+                    .set("images")
+                    .and(": there they are found by the last parts of their names");
             }
             Self::Name { .. } => "rename the image, in the image folder and in the model",
             Self::TrackIndex { .. } | Self::Contradiction(_) => {
@@ -201,7 +206,8 @@ impl Problem {
             }
             Self::Unsupported { hint, .. } => hint,
             Self::Hidden => "copy the file into the project to see the fault",
-        }
+        };
+        text.into()
     }
 }
 
@@ -349,7 +355,7 @@ mod tests {
             fault(openmvs::Mvs::read(&scene)),
         ];
         for fault in faults {
-            assert_eq!(fault.problem.hint(), SPLIT, "{fault}");
+            assert_eq!(fault.problem.hint(), SPLIT.into(), "{fault}");
             assert!(fault.to_string().contains("262144"), "{fault}");
         }
     }

@@ -48,6 +48,9 @@ pub enum ProjectError {
     Fault { path: PathBuf, fault: Fault },
     #[error("{path} is {}", mistaken.what)]
     Mistaken { path: PathBuf, mistaken: Mistaken },
+    /// JSON in the place of nerfstudio's cameras.
+    #[error("{path} is {what}")]
+    WithoutFrames { path: PathBuf, what: &'static str },
     #[error("{path} is {}", mistaken.what)]
     NotFetched {
         path: PathBuf,
@@ -69,11 +72,12 @@ impl ProjectError {
     pub(super) fn explained(self, named: &Path) -> Self {
         match self {
             Self::Fault { path, fault } => {
-                let mistaken = mistaken::of_file(&path)
-                    .or_else(|| mistaken::text_as_binary(&path))
-                    .or_else(|| mistaken::json_without_frames(&path, &fault));
+                let mistaken = mistaken::of_file(&path).or_else(|| mistaken::text_as_binary(&path));
+                // The kind of a file says nothing of its contents, which a fault may quote.
+                if let Some(what) = mistaken::json_without_frames(&path, &fault) {
+                    return Self::WithoutFrames { path, what };
+                }
                 match mistaken {
-                    // The kind of a file says nothing of its contents, which a fault may quote.
                     Some(mistaken) => Self::Mistaken { path, mistaken },
                     None if is_outside(&path, named) => Self::Fault {
                         path,
@@ -142,8 +146,13 @@ impl Hint for ProjectError {
             }
             Self::NoSuchModel { .. } => Advice::text("pass one of these names to ").set("model").and(", or omit it"),
             Self::Io { .. } => "check that the file exists and is readable".into(),
-            Self::Fault { fault, .. } => fault.problem.hint().into(),
+            Self::Fault { fault, .. } => fault.problem.hint(),
             Self::Mistaken { mistaken, .. } => mistaken.cure.into(),
+            Self::WithoutFrames { .. } => Advice::text(
+                "give it another name, and put the transforms.json with the cameras in its place (a region is given by ",
+            )
+            .set_to("region", "FILE")
+            .and(")"),
             Self::NotFetched { mistaken, used, .. } => {
                 Advice::text(format!("{}; to plan without it: ", mistaken.cure)).set_to("model", used)
             }
@@ -169,6 +178,7 @@ impl Hint for ProjectError {
             | Self::NoSuchModel { path, .. }
             | Self::Io { path, .. }
             | Self::Mistaken { path, .. }
+            | Self::WithoutFrames { path, .. }
             | Self::NotFetched { path, .. }
             | Self::OneFile { path, .. }
             | Self::Fault { path, .. } => Some(path),

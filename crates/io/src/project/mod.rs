@@ -23,7 +23,10 @@ use std::{
     time::SystemTime,
 };
 
-use viewrank_core::model::scene::{ModelWarning, Scene, ViewIndex, WarningKind};
+use viewrank_core::{
+    base::error::Advice,
+    model::scene::{ModelWarning, Scene, ViewIndex, WarningKind},
+};
 
 pub use containing::containing;
 pub use create::CreateError;
@@ -390,9 +393,7 @@ impl Project {
             scene.warnings.extend(warning);
         }
         let others = self.sub_model_warning(scene.views.len());
-        scene
-            .warnings
-            .extend(others.map(|text| ModelWarning::new(WarningKind::OtherModels, text)));
+        scene.warnings.extend(others);
         scene.warnings.extend(self.other_workspace_warning());
         scene.warnings.extend(self.rivals_warning());
         scene
@@ -638,11 +639,14 @@ impl Project {
         let rivals = images.rivals.iter().take(NAMED);
         let rivals: Vec<String> = rivals.map(|rival| shown_path(rival)).collect();
         let text = format!(
-            "of several folders whose images have the names of the model {} is taken, not {} (--images names another)",
+            "of several folders whose images have the names of the model {} is taken, not {}",
             shown_path(images),
             rivals.join(" or ")
         );
-        Some(ModelWarning::new(WarningKind::Format, text))
+        let cure = Advice::text("no action needed; ")
+            .set("images")
+            .and(" names another");
+        Some(ModelWarning::new(WarningKind::Format, text).with_cure(cure))
     }
 
     /// Names the other dense workspaces beside the one that is used.
@@ -652,7 +656,7 @@ impl Project {
     }
 
     /// Names the model that is used, and the others.
-    fn sub_model_warning(&self, registered: usize) -> Option<String> {
+    fn sub_model_warning(&self, registered: usize) -> Option<ModelWarning> {
         let words = |model: &ModelLocation| {
             let path = self.path_of(model);
             match model.registered {
@@ -672,15 +676,19 @@ impl Project {
             let next = others_there.find(|model| model.path.parent() == Some(&sparse));
             // What poses another program has is not known yet.
             let is_read = |model: &ModelLocation| model.registered > 0;
-            let how = match next {
-                Some(next) => format!(
-                    " (plan another by itself: viewrank plan {})",
-                    command_path(&next.path)
+            let cure = match next {
+                Some(next) => Some(
+                    Advice::text("plan another by itself: ")
+                        .run(format!("plan {}", command_path(&next.path))),
                 ),
-                None if self.other_models.iter().any(is_read) => " (--model names another)".into(),
-                None => String::new(),
+                None if self.other_models.iter().any(is_read) => {
+                    Some(Advice::default().set("model").and(" names another"))
+                }
+                None => None,
             };
-            format!("the model is {used} ({registered} images), not {others}{how}")
+            let text = format!("the model is {used} ({registered} images), not {others}");
+            let warning = ModelWarning::new(WarningKind::OtherModels, text);
+            ModelWarning { cure, ..warning }
         })
     }
 }

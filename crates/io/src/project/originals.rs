@@ -3,6 +3,8 @@
 
 use std::path::{Path, PathBuf};
 
+use viewrank_core::base::error::Advice;
+
 use super::{
     ImageFolder, ModelFormat, ModelLocation,
     discover::{FOLDERS_OF_PROGRAMS, are_among, poses, with_sparse},
@@ -34,15 +36,14 @@ impl Originals {
     }
 
     /// What to do besides giving the undistorted images.
-    pub fn cure(&self) -> String {
+    pub fn cure(&self) -> Advice {
         let Self { project, model, .. } = self;
         let inside = model.strip_prefix(project).unwrap_or(model);
-        format!(
-            "give the undistorted images, or make them: viewrank undistort {} --model {}; if these are the undistorted \
-             ones, name them with --images",
-            command_path(project),
-            command_path(inside)
-        )
+        let (project, model) = (command_path(project), command_path(inside));
+        Advice::text("give the undistorted images, or make them: ")
+            .run(format!("undistort {project} --model {model}"))
+            .and("; if these are the undistorted ones, name them with ")
+            .set("images")
     }
 }
 

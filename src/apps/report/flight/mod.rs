@@ -14,7 +14,7 @@ use nalgebra::{Point3, Vector3};
 
 use super::holes::Hole;
 use crate::{
-    base::progress::Watcher,
+    base::{advice::on_command_line, error::Advice, progress::Watcher},
     config::Settings,
     method::{target::GSD_MARGIN, visibility::VisibilityError},
     model::{georeference::MapFrame, scene::Scene},
@@ -118,10 +118,12 @@ impl Flight {
     /// Returns a warning if more images are needed than are planned.
     pub fn unplanned(&self) -> Option<String> {
         (self.more > 0).then(|| {
-            format!(
-                "only the {MOST} images nearest to the photographs are planned for bare ground; all of it would take about {} more: use a coarser --gsd, or plan the region in parts",
+            let what = format!(
+                "only the {MOST} images nearest to the photographs are planned for bare ground; all of it would take about {} more: use a coarser ",
                 two_digits(self.more)
-            )
+            );
+            let cure = Advice::text(what).set("target.gsd");
+            on_command_line(&cure.and(", or plan the region in parts"))
         })
     }
 
@@ -141,10 +143,12 @@ impl Flight {
         let high: Vec<f64> = heights.filter(|height| *height > LEGAL_HEIGHT).collect();
         let highest = high.iter().copied().fold(0.0, f64::max);
         let which = self.part(high.len(), ["is", "are"])?;
-        Some(format!(
-            "{which} higher than {LEGAL_HEIGHT} m above the ground (up to {:.0} m), where the EU and the US ask for a permit: a finer --gsd plans lower ones",
+        let what = format!(
+            "{which} higher than {LEGAL_HEIGHT} m above the ground (up to {:.0} m), where the EU and the US ask for a permit: a finer ",
             highest.ceil()
-        ))
+        );
+        let cure = Advice::text(what).set("target.gsd");
+        Some(on_command_line(&cure.and(" plans lower ones")))
     }
 
     fn little_overlap(&self) -> Option<String> {

@@ -78,7 +78,7 @@ pub enum DelaunayError {
     NotFinite { point: usize },
     #[error(
         "the triangulation of {vertices} points needs more than {limit} cells; \
-         the points lie on a few thin curves: remove outliers or use `--surface terrain`"
+         the points lie on a few thin curves: remove outliers or set surface.kind = terrain"
     )]
     TooManyCells { vertices: usize, limit: usize },
     #[error("{points} points are more than 32-bit indices can number; thin the model")]
