@@ -27,7 +27,7 @@ use cap_std::{
     fs::{self as cap_fs, Dir, Metadata, OpenOptions},
 };
 
-use super::{OutputError, staging::has_bytes};
+use super::{OutputError, contents::has_bytes};
 use crate::{
     input::{self, FileKind},
     paths::absolute,

@@ -14,6 +14,7 @@
 //! - All of it happens in open folders (`folder.rs`): neither a name nor a symbolic link can lead
 //!   out of the set's root, nor can somebody who exchanges folders meanwhile.
 
+mod contents;
 mod disk;
 mod folder;
 mod found;

@@ -8,7 +8,7 @@ use std::{
     collections::{BTreeMap, BTreeSet},
     ffi::OsString,
     fs::File,
-    io::{self, Read},
+    io,
     time::UNIX_EPOCH,
 };
 
@@ -199,30 +199,4 @@ fn hash_of_file(file: &File) -> io::Result<String> {
     let mut hasher = blake3::Hasher::new();
     hasher.update_reader(file)?;
     Ok(hasher.finalize().to_string())
-}
-
-/// Returns whether both readers give the same bytes.
-pub(super) fn same_contents(mut one: impl Read, mut other: impl Read) -> io::Result<bool> {
-    let (mut a, mut b) = (vec![0; 1 << 16], vec![0; 1 << 16]);
-    loop {
-        let length = read_full(&mut one, &mut a)?;
-        if length != read_full(&mut other, &mut b)? || a[..length] != b[..length] {
-            return Ok(false);
-        }
-        if length == 0 {
-            return Ok(true);
-        }
-    }
-}
-
-/// Fills `block`, or stops at the end of the input; returns the number of bytes read.
-fn read_full(from: &mut impl Read, block: &mut [u8]) -> io::Result<usize> {
-    let mut length = 0;
-    while length < block.len() {
-        match from.read(&mut block[length..])? {
-            0 => break,
-            n => length += n,
-        }
-    }
-    Ok(length)
 }

@@ -12,6 +12,7 @@ use cap_std::fs::Metadata;
 
 use super::{
     Contents, FileSet, OutputError, WriteReport,
+    contents::{has_bytes, has_contents},
     folder::Folder,
     journal::{Change, Root, STAGING, Step, staged},
     record::{self, Record, Records, hash},
@@ -468,10 +469,6 @@ fn is_copy(file: &File, source: &File) -> io::Result<bool> {
     has_contents(file, source.metadata()?.len(), source)
 }
 
-pub(super) fn has_bytes(file: &File, bytes: &[u8]) -> io::Result<bool> {
-    has_contents(file, bytes.len() as u64, bytes)
-}
-
 /// The path of a file without links.
 ///
 /// # Errors
@@ -488,10 +485,6 @@ fn inside(file: &Path, folder: &Path) -> Result<PathBuf, OutputError> {
             folder: folder.into(),
         })
     }
-}
-
-fn has_contents(file: &File, length: u64, contents: impl Read) -> io::Result<bool> {
-    Ok(file.metadata()?.len() == length && record::same_contents(contents, file)?)
 }
 
 fn is_executable(file: &File) -> io::Result<bool> {
