@@ -169,7 +169,7 @@ impl<'a> Known<'a> {
         let (points, fingerprints) =
             rayon::join(|| scene.view_points(), || Fingerprints::new(project, scene));
         let image_gsd = scene.median_gsd_of(&points);
-        let mut settings = in_force(project, settings, (scene, image_gsd), matcher)?;
+        let mut settings = in_force(project, settings, scene, image_gsd, matcher)?;
         let place = georeference(project, scene, &settings.frame);
         // Neither, where the model's unit is some other length: a plan that is repeated with these
         // settings must find it again.
@@ -283,7 +283,8 @@ fn refuse_large_cameras(scene: &Scene, image_scale: f64) -> Result<(), PlanError
 fn in_force(
     project: &Project,
     settings: &Settings,
-    (scene, image_gsd): (&Scene, Option<f64>),
+    scene: &Scene,
+    image_gsd: Option<f64>,
     matcher: &Matcher,
 ) -> Result<Settings, PlanError> {
     if scene.views.is_empty() {

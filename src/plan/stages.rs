@@ -402,7 +402,8 @@ impl Found {
         let file = inputs.fingerprints.ranking(
             &inputs.settings,
             &from.file,
-            (&wanted.objective, inputs.matcher.makes_maps),
+            &wanted.objective,
+            inputs.matcher.makes_maps,
             factors,
             work,
         );

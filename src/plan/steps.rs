@@ -54,15 +54,14 @@ impl Step for TwinsStep<'_> {
             settings,
             ..
         } = self.inputs;
-        let seen = (
-            pictures as &dyn confidence::Pictures,
-            settings.image_scale(),
-        );
-        let left_out = (
-            &self.inputs.without_image[..],
-            &self.inputs.kept_for_tests[..],
-        );
-        Ok(twins::twins(scene, points, left_out, seen, watcher)?)
+        let excluded = twins::Excluded {
+            without_image: &self.inputs.without_image,
+            tests: &self.inputs.kept_for_tests,
+        };
+        let scale = settings.image_scale();
+        Ok(twins::twins(
+            scene, points, excluded, pictures, scale, watcher,
+        )?)
     }
 }
 
@@ -86,7 +85,7 @@ pub(super) fn surface_and_candidates(
     let program = reach.map(|_| inputs.matcher.name);
     let file = inputs
         .fingerprints
-        .candidates(settings, program, &gate, (&left_out, twins));
+        .candidates(settings, program, &gate, &left_out, twins);
     let known = cached::read(file, |(), bytes| {
         cached::candidates::unpack(bytes, scene.views.len())
     });
@@ -447,7 +446,8 @@ impl Step for PilotStep<'_> {
             scene,
             &self.clusters_file.file,
             pictures,
-            (self.made, self.support),
+            self.made,
+            self.support,
         )
     }
 
@@ -472,8 +472,15 @@ impl Step for PilotStep<'_> {
             Some(made) => made.read(scene, self.clusters, watcher)?,
             None => vec![None; self.clusters.len()],
         };
-        let scene = (scene, points);
-        let maps = pilot::maps(scene, self.clusters, made, self.thumbnails, seen, watcher)?;
+        let maps = pilot::maps(
+            scene,
+            points,
+            self.clusters,
+            made,
+            self.thumbnails,
+            seen,
+            watcher,
+        )?;
         let smaller = pilot::smaller(&self.inputs.scene, settings.image_scale());
         Ok(Places::new(
             self.clusters,

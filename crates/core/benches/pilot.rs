@@ -112,7 +112,8 @@ fn main() {
         let thumbnails = pilot::Thumbnails::new(scene.views.len());
         let pictures = (&Ground as &dyn Pictures, 1.0);
         let maps = pilot::maps(
-            (&scene, &points),
+            &scene,
+            &points,
             &clusters,
             vec![None; clusters.len()],
             thumbnails,

@@ -7,7 +7,7 @@ use crate::{
     base::progress::NoWatcher,
     io::pictures::PictureFolders,
     method::{
-        confidence::{self, Sharpness},
+        confidence::Sharpness,
         twins::{self, Twin},
     },
     model::scene::ViewIndex,
@@ -59,19 +59,12 @@ fn blurred(inputs: &Inputs) -> Option<Finding> {
 /// Reports images that show the same from the same place as a sharper one.
 fn twins(inputs: &Inputs) -> Option<Finding> {
     let (scene, faults) = (inputs.scene, inputs.images);
-    let seen = (
-        &PictureFolders::new(inputs.project) as &dyn confidence::Pictures,
-        1.0,
-    );
-    let without_image = faults.without_image(scene.views.len());
-    let twins = twins::twins(
-        scene,
-        inputs.points,
-        (&without_image, &[]),
-        seen,
-        &NoWatcher,
-    )
-    .ok()?;
+    let pictures = PictureFolders::new(inputs.project);
+    let excluded = twins::Excluded {
+        without_image: &faults.without_image(scene.views.len()),
+        tests: &[],
+    };
+    let twins = twins::twins(scene, inputs.points, excluded, &pictures, 1.0, &NoWatcher).ok()?;
     (!twins.is_empty()).then(|| {
         let of = format!("{} of {} images", twins.len(), scene.views.len());
         let show = if twins.len() == 1 { "shows" } else { "show" };

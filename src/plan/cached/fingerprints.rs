@@ -103,7 +103,8 @@ impl<'a> Fingerprints<'a> {
         settings: &Settings,
         program: Option<&str>,
         gate: &Gate,
-        (left_out, twins): (&[ViewIndex], &[Twin]),
+        left_out: &[ViewIndex],
+        twins: &[Twin],
     ) -> CacheFile {
         let mut hasher = self.of_scene();
         let PartnerSettings { k, candidates, .. } = settings.partners;
@@ -208,7 +209,8 @@ impl<'a> Fingerprints<'a> {
         scene: &Scene,
         clusters: &CacheFile,
         pictures: &PictureFolders,
-        (made, support): (Option<&PilotMaps>, u32),
+        made: Option<&PilotMaps>,
+        support: u32,
     ) -> CacheFile {
         let inputs = || {
             let mut hasher = self.of_results(&[clusters.inputs()?]);
@@ -233,7 +235,8 @@ impl<'a> Fingerprints<'a> {
         &self,
         settings: &Settings,
         clusters: &CacheFile,
-        (objective, makes_maps): (&Objective, bool),
+        objective: &Objective,
+        makes_maps: bool,
         region: Option<&[f32]>,
         work: &[[f64; 2]],
     ) -> CacheFile {

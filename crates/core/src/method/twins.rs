@@ -81,22 +81,31 @@ pub struct Twin {
     pub sharper: ViewIndex,
 }
 
-/// Finds the views to set aside, ascending. `without_image`, ascending, takes no part anyway. Where
-/// a view is kept for tests (`tests`, ascending), all others from its place are set aside: training
-/// on them would be training on the test. Else with pictures the sharpest view of a place remains,
+/// Views that are no key views and no partners anyway, each list ascending.
+#[derive(Clone, Copy, Default)]
+pub struct Excluded<'a> {
+    /// They take no part.
+    pub without_image: &'a [ViewIndex],
+    /// All others from the place of one are set aside: training on them would be training on the
+    /// test.
+    pub tests: &'a [ViewIndex],
+}
+
+/// Finds the views to set aside, ascending. With pictures the sharpest view of a place remains,
 /// without them that which observes most points; ties go to the first.
 pub fn twins(
     scene: &Scene,
     points: &ViewPoints,
-    (without_image, tests): (&[ViewIndex], &[ViewIndex]),
-    (pictures, image_scale): (&dyn Pictures, f64),
+    excluded: Excluded,
+    pictures: &dyn Pictures,
+    image_scale: f64,
     watcher: &dyn Watcher,
 ) -> Result<Vec<Twin>, Cancelled> {
-    let placed = placed(scene, points, without_image);
+    let placed = placed(scene, points, excluded.without_image);
     let criteria = Criteria {
         scene,
         points,
-        tests,
+        tests: excluded.tests,
         pictures,
         // That at which it is matched, not half of it.
         scale: SPACING * image_scale,
@@ -419,8 +428,11 @@ mod tests {
         let (without, tests) = (views(without_image), views(tests));
         let boards = Boards(contrasts.to_vec());
         let points = scene.view_points();
-        let kinds = (&without[..], &tests[..]);
-        let twins = twins(scene, &points, kinds, (&boards, 1.0), &NoWatcher).unwrap();
+        let excluded = Excluded {
+            without_image: &without,
+            tests: &tests,
+        };
+        let twins = twins(scene, &points, excluded, &boards, 1.0, &NoWatcher).unwrap();
         twins
             .iter()
             .map(|twin| (twin.view.0, twin.sharper.0))

@@ -86,7 +86,8 @@ use crate::{
 ///
 /// Returns the maps of all clusters, one each: `None` without a thumbnail or sparse points.
 pub fn maps(
-    (scene, points): (&Scene, &ViewPoints),
+    scene: &Scene,
+    points: &ViewPoints,
     clusters: &[ViewCluster],
     made: Vec<Option<PilotMap>>,
     thumbnails: Thumbnails,
@@ -319,8 +320,12 @@ mod tests {
         let beside = thumbnails.beside(&Stage);
         beside.grey(scene, ViewIndex(1), 1.0).unwrap();
         let made = vec![None; clusters.len()];
-        let scene = (scene, &scene.view_points());
-        maps(scene, clusters, made, thumbnails, (&Stage, 1.0), &NoWatcher).unwrap()
+        let points = scene.view_points();
+        let source = (&Stage as &dyn Pictures, 1.0);
+        maps(
+            scene, &points, clusters, made, thumbnails, source, &NoWatcher,
+        )
+        .unwrap()
     }
 
     #[test]
@@ -401,7 +406,8 @@ mod tests {
             PilotMap::made_by_program(&scene, cluster.key, depth)
         };
         let maps = maps(
-            (&scene, &scene.view_points()),
+            &scene,
+            &scene.view_points(),
             &clusters,
             clusters.iter().map(of_cluster).collect(),
             Thumbnails::new(scene.views.len()),
