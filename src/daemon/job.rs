@@ -204,14 +204,7 @@ impl PlanJob {
             Dispatch::refuse_if_at_work(&project).map_err(failed)?;
         }
         info!(project = %job.project.display(), "planning");
-        let plan = planning::plan(&project, &settings, &JobWatcher::new(job)).map_err(sort_out)?;
-        let plan = around_finished(plan, &project, job)?;
-        if let Some(empty) = EmptyPlan::detect(&plan) {
-            // Like an incomplete model: only other input can give more.
-            return Err(Outcome::Incomplete {
-                reason: empty.to_string(),
-            });
-        }
+        let plan = planned(&project, &settings, job)?;
         // Compared before the new plan takes its place.
         let replaced = (is_by_hand && !self.options.is_run)
             .then(|| another_than(&plan, &project))
@@ -277,21 +270,13 @@ impl PlanJob {
         let within = self.within(job.project)?;
         let disk = Disk::REAL.within(&within);
         output::recover(job.project, &disk).map_err(failed)?;
-        let none = || {
-            let gone = !self.has_maps(job)? && progress_file(job.project).is_file();
-            if gone {
-                self.try_plan(PlanWhen::Outdated, job)
-            } else {
-                Err(Outcome::Abandoned)
-            }
-        };
         if job.maps.is_empty() {
-            return none();
+            return self.without_maps(job);
         }
         let record = self.record_or_plan(job)?;
         let opened = Project::open(job.project, None).map_err(incomplete)?;
         let Some(folder) = own_folder(&opened, &record.backend, job.maps) else {
-            return none();
+            return self.without_maps(job);
         };
         let watcher = JobWatcher::new(job);
         let (project, plan) = self.plan_again(job.project, &record.fingerprint, &watcher)?;
@@ -323,16 +308,31 @@ impl PlanJob {
                 &disk,
             )?;
         }
-        progress.keep_announced(job.project);
-        progress.write(job.project, &disk).map_err(failed)?;
+        self.record(&mut progress, job.project, &disk)?;
+        let note = self.settings(job.project).ok().and_then(|(_, note)| note);
+        Ok(progress.outcome(note))
+    }
+
+    /// Follows a project without depth maps: where they are gone, it is planned anew.
+    fn without_maps(&self, job: &Job) -> StepResult<Outcome> {
+        if !self.has_maps(job)? && progress_file(job.project).is_file() {
+            self.try_plan(PlanWhen::Outdated, job)
+        } else {
+            Err(Outcome::Abandoned)
+        }
+    }
+
+    /// Writes the progress, and announces a target that is reached now.
+    fn record(&self, progress: &mut Progress, root: &Path, disk: &Disk) -> StepResult<()> {
+        progress.keep_announced(root);
+        progress.write(root, disk).map_err(failed)?;
         if progress.target_reached && !progress.announced {
             // The command may read the progress, so that is written first; and once more after it,
             // or a restart would run the command again.
-            progress.announced = self.announce(job.project);
-            progress.write(job.project, &disk).map_err(failed)?;
+            progress.announced = self.announce(root);
+            progress.write(root, disk).map_err(failed)?;
         }
-        let note = self.settings(job.project).ok().and_then(|(_, note)| note);
-        Ok(progress.outcome(note))
+        Ok(())
     }
 
     /// Returns the record of the plan, which is made anew if it is gone, or was replaced by hand.
@@ -592,6 +592,19 @@ fn wait_for(mut command: Child, project: &Path) {
         Err(error) => {
             warn!(project = %project.display(), %error, "lost track of the on_target command")
         }
+    }
+}
+
+/// Makes the plan, around the depth maps that are finished; one without view clusters is none.
+fn planned(project: &Project, settings: &Settings, job: &Job) -> StepResult<Plan> {
+    let plan = planning::plan(project, settings, &JobWatcher::new(job)).map_err(sort_out)?;
+    let plan = around_finished(plan, project, job)?;
+    match EmptyPlan::detect(&plan) {
+        None => Ok(plan),
+        // Like an incomplete model: only other input can give more.
+        Some(empty) => Err(Outcome::Incomplete {
+            reason: empty.to_string(),
+        }),
     }
 }
 

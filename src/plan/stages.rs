@@ -285,11 +285,8 @@ impl Found {
         let ranking = self.known_ranking(pilot_file.as_ref(), &inputs, &work);
         let cached = self.cached(pilot_file, ranking.file);
 
+        let (agreement, picture_warnings) = self.take_agreement();
         let Self { wanted, predicted } = self;
-        let agreement = predicted.agreement.map(|agreement| agreement.result);
-        let agreement = agreement.unwrap_or_default();
-        let mut picture_warnings = predicted.unary.result.warnings;
-        picture_warnings.extend(agreement.warnings.iter().cloned());
         let rule = inputs.rule();
         // Pictures that could not be compared after all count as missing from here on.
         let without_image = sorted(inputs.without_image, &agreement.rejected);
@@ -337,6 +334,15 @@ impl Found {
             cached,
             memory,
         }
+    }
+
+    /// Takes the agreement of the pictures out, and gives all warnings of pictures with it.
+    fn take_agreement(&mut self) -> (Agreement, Vec<String>) {
+        let agreement = self.predicted.agreement.take();
+        let agreement = agreement.map_or_else(Default::default, |agreement| agreement.result);
+        let mut warnings = std::mem::take(&mut self.predicted.unary.result.warnings);
+        warnings.extend(agreement.warnings.iter().cloned());
+        (agreement, warnings)
     }
 
     fn cached(&self, pilot: Option<ResultFile>, ranking: ResultFile) -> Cached {
