@@ -16,7 +16,7 @@ use viewrank_core::model::{
 use super::{
     Fault, LONGEST_NAME, Place, Problem, SPLIT, check_length,
     colmap::{ColmapImage, ColmapModel, ColmapPoint, Point2d, StoredPose, TrackElement},
-    name_parts,
+    name_parts, start_of,
 };
 use crate::bounded::MORE_THAN;
 
@@ -374,10 +374,7 @@ pub(super) fn fault_in(problem: Problem, record: impl FnOnce() -> String) -> Fau
 
 /// The problem of a line that isn't what was expected.
 pub(super) fn unexpected(line: &[u8], expected: &'static str) -> Problem {
-    Problem::Syntax {
-        expected,
-        found: String::from_utf8_lossy(&line[..line.len().min(40)]).into_owned(),
-    }
+    Problem::syntax(expected, start_of(line))
 }
 
 /// Parses JSON; a fault has its line.

@@ -211,6 +211,11 @@ impl Problem {
     }
 }
 
+/// The start of a line or a word, for the text of a fault: as much as tells what it is.
+fn start_of(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(&bytes[..bytes.len().min(40)]).into_owned()
+}
+
 /// Most images, and most cameras, of a model: each takes up to a kilobyte while the model is read,
 /// and a few bytes in some formats.
 const MOST_IMAGES: usize = 1 << 18;

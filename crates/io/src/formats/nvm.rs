@@ -20,7 +20,7 @@ use viewrank_core::model::{
 
 use super::{
     Fault, Place, Problem, check_images,
-    foreign::{ForeignModel, SizeLookup, camera, guessed_size, pose_with_centre},
+    foreign::{ForeignModel, SizeLookup, camera, guessed_size, pose_with_centre, unexpected},
     measured::{MeasuredPoints, image_id},
     words::{Words, name_and_numbers},
 };
@@ -104,10 +104,8 @@ fn nvm_camera(words: &mut Words) -> Result<NvmCamera, Fault> {
     let line = words
         .full_line()
         .ok_or_else(|| fault(Problem::Truncated("the cameras")))?;
-    let (name, numbers) = name_and_numbers::<10>(line).ok_or_else(|| {
-        let found = String::from_utf8_lossy(&line[..line.len().min(40)]).into_owned();
-        fault(Problem::Syntax { expected, found })
-    })?;
+    let (name, numbers) =
+        name_and_numbers::<10>(line).ok_or_else(|| fault(unexpected(line, expected)))?;
     let name = std::str::from_utf8(name).map_err(|_| {
         fault(Problem::Name {
             name: String::from_utf8_lossy(name).into_owned(),

@@ -12,7 +12,7 @@ use nom::{
 
 use viewrank_core::base::large_pages;
 
-use super::{Fault, Place, Problem};
+use super::{Fault, Place, Problem, start_of};
 
 /// The unread part of a text file.
 #[derive(Clone)]
@@ -120,7 +120,7 @@ impl<'a> Words<'a> {
 
     pub fn unexpected(&self, expected: &'static str) -> Fault {
         let found = match token(self.rest) {
-            Ok((_, token)) => String::from_utf8_lossy(&token[..token.len().min(40)]).into_owned(),
+            Ok((_, token)) => start_of(token),
             Err(_) => "the end of the file".into(),
         };
         self.fault(Problem::Syntax { expected, found })

@@ -26,7 +26,7 @@ use super::{
         ColmapImage, ColmapModel, ColmapPoint, Frame, FrameData, Point2d, Rig, Sensor, StoredPose,
         TrackElement,
     },
-    words,
+    start_of, words,
 };
 
 /// Reads a model; [`ColmapModel::scene`] checks its cross-references.
@@ -110,7 +110,7 @@ impl<'a> Line<'a> {
 
     fn unexpected(&self, expected: &'static str) -> Fault {
         let found = match token(self.rest) {
-            Ok((_, token)) => String::from_utf8_lossy(&token[..token.len().min(40)]).into_owned(),
+            Ok((_, token)) => start_of(token),
             Err(_) => "the end of the line".into(),
         };
         self.fault(Problem::Syntax { expected, found })

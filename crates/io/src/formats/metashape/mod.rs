@@ -50,8 +50,9 @@ pub fn read<const N: usize>(
 ) -> Result<[ForeignModel; N], Fault> {
     let (largest, others) = largest_chunk(bytes)?;
     let mut models: [ForeignModel; N] = std::array::from_fn(|_| ForeignModel::default());
+    let names = largest.names(spelled);
     for (model, frame) in models.iter_mut().zip(frames) {
-        *model = largest.model(frame, spelled)?;
+        *model = largest.model(frame, &names)?;
         model.warn_of_others("chunks", &others);
     }
     Ok(models)

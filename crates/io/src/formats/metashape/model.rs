@@ -19,20 +19,16 @@ const LONGEST_FOLDER: usize = 255;
 
 impl Chunk {
     /// Makes the model of the component with most images.
-    pub fn model(
-        &self,
-        frame: Frame,
-        spelled: &dyn Fn(&str) -> String,
-    ) -> Result<ForeignModel, Fault> {
+    pub fn model(&self, frame: Frame, names: &[String]) -> Result<ForeignModel, Fault> {
         let mut model = ChunkModel::new(self, frame);
         let mut disabled = Vec::new();
-        for ((n, camera), name) in (1..).zip(&self.cameras).zip(self.names(spelled)) {
+        for ((n, camera), name) in (1..).zip(&self.cameras).zip(names) {
             if !camera.is_enabled {
-                disabled.push(name);
+                disabled.push(name.clone());
                 continue;
             }
             model
-                .add(n, camera, name)
+                .add(n, camera, name.clone())
                 .map_err(|fault| fault.in_record(|| format!("camera {n}, {:?}", camera.label)))?;
         }
         let mut foreign = model.into_largest_component();
@@ -55,7 +51,7 @@ impl Chunk {
 
     /// Names of the images of all cameras: their labels. Of several cameras of a label, each has
     /// its group, or its sensor, for a folder, and its id where that does not tell them apart.
-    fn names(&self, spelled: &dyn Fn(&str) -> String) -> Vec<String> {
+    pub fn names(&self, spelled: &dyn Fn(&str) -> String) -> Vec<String> {
         let mut same_label: HashMap<&str, usize> = HashMap::new();
         let mut same_path: HashMap<(&str, Option<&str>), usize> = HashMap::new();
         for camera in &self.cameras {
