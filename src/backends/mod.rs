@@ -270,6 +270,11 @@ pub fn canonical_name(name: &str) -> Result<&'static str, UnknownBackend> {
     by_name(name).map(|backend| backend.name)
 }
 
+/// Returns what a user has to know of the shares that a program's depth maps are said to reach.
+pub fn caution(name: &str) -> Option<&'static str> {
+    by_name(name).ok()?.planning.caution
+}
+
 /// Returns the backends with these names, in their order, without repetition.
 pub fn by_names(names: &[String]) -> Result<Vec<&'static Backend>, UnknownBackend> {
     let mut backends: Vec<&'static Backend> = Vec::new();
@@ -354,7 +359,10 @@ const PATCH_MATCH: PlanningNumbers = PlanningNumbers {
     photometric: BY_COLMAPS_MAPS,
     support: 2,
     work: openmvs::WORK,
-    measured: None,
+    measured: "no: openmvs's",
+    caution: Some(
+        "Its depth maps were never compared with a plan: shares are what OpenMVS would reach.",
+    ),
     source: "not measured: gate and geometric confidence of OpenMVS, agreement of COLMAP, other PatchMatches (method 7.1, 7.2); support 2: depth \
              maps are joined where they agree",
 };

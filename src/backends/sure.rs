@@ -38,7 +38,8 @@ const RECTIFYING: PlanningNumbers = PlanningNumbers {
     photometric: PHOTOMETRIC,
     support: 1,
     work: super::openmvs::WORK,
-    measured: Some("valley (sgm)"),
+    measured: "valley (sgm)",
+    caution: None,
     source: "gate: of rectified pairs, measured on valley against exact depth (method 7.1); confidence: integrations/sgm's, by whose \
              real curves it ranks best (method 7.2's 0.8, a cosine and 0.7 octaves rank worse than none); SURE itself was not \
              run; support 1: a depth map is checked against its own pairs",

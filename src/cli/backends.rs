@@ -108,7 +108,7 @@ fn table(entries: &[Entry]) -> Vec<String> {
                 "any".into()
             },
             p.support.to_string(),
-            p.measured.unwrap_or("no: openmvs's").into(),
+            p.measured.into(),
         ]));
     }
     lines.extend(TABLE_NOTES.lines().map(String::from));

@@ -369,7 +369,7 @@ fn planned_in_words(plan: &PlannedMaps, maps: usize) -> String {
                 later => format!("; {later} more are there, not measured yet (viewrank evaluate)"),
             };
             format!(
-                "{done} of {planned} planned depth maps finished: {}, as measured for this plan{later}.",
+                "{done} of {planned} planned depth maps finished: {}, as estimated from these maps{later}.",
                 share_of_all(*share, plan)
             )
         }
@@ -416,7 +416,8 @@ fn unwatched(progress: &Progress, plan: &PlannedMaps, later: usize) -> Vec<Strin
         )),
         None => Some("The plan is done.".into()),
     });
-    lines.push("As last measured by `viewrank run`, `watch` or `evaluate`.".into());
+    lines.push("As last estimated by `viewrank run`, `watch` or `evaluate`.".into());
+    lines.extend(backends::caution(&plan.backend).map(String::from));
     lines.extend(match later {
         0 => None,
         1 => Some("1 depth map was finished after that (viewrank evaluate).".into()),

@@ -611,16 +611,6 @@ fn outdated(files: &PlanFiles, asked: &Asked) -> Vec<String> {
     outdated.cloned().collect()
 }
 
-/// Returns a warning where no depth map of the program has been seen, so that shares are a guess.
-fn unmeasured(plan: &Plan) -> Option<String> {
-    let backend = backends::by_name(plan.stages.backend).ok()?;
-    let is_guess = plan.stages.makes_maps && backend.planning.measured.is_none();
-    is_guess.then(|| {
-        "Its depth maps were never compared with a plan: shares are what OpenMVS would reach."
-            .into()
-    })
-}
-
 /// Notes on images that may be unexpected: other names, other folders.
 fn notes(project: &Project, plan: &Plan, place: &Georeference) -> Vec<String> {
     let mut notes = notes_on_folder(project);
@@ -639,7 +629,8 @@ fn notes(project: &Project, plan: &Plan, place: &Georeference) -> Vec<String> {
                 .into(),
         );
     }
-    notes.extend(unmeasured(plan));
+    let caution = backends::caution(plan.stages.backend).filter(|_| plan.stages.makes_maps);
+    notes.extend(caution.map(String::from));
     notes.extend(notes_on_left_out(plan));
     if plan.stages.settings.ranking.has_half() && plan.decision.forecast.maps_at_half == 0 {
         notes.push("Of two sizes, full size alone gives most within these limits.".into());

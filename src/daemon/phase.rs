@@ -39,7 +39,7 @@ pub enum Phase {
         backend: String,
         /// Number of key views up to the cut.
         clusters: usize,
-        /// Their predicted share of the fulfilment of all view clusters, 0 to 1.
+        /// Predicted share of the area of the cloud of all view clusters that they give, 0 to 1.
         share: f64,
         /// True if only what is inside a region counts.
         #[serde(default, skip_serializing_if = "is_false")]
@@ -60,9 +60,9 @@ pub enum Phase {
         done: usize,
         /// Number of key views up to the cut, plus those beyond it with a depth map.
         clusters: usize,
-        /// Share of the result of all view clusters that they give, 0 to 1: their measured
-        /// fulfilment over what is expected of all, so an estimate; null where depth maps are
-        /// counted, not measured.
+        /// Share of the area of the cloud of all view clusters that they give, 0 to 1: measured of
+        /// them over what is expected of all, so an estimate; null where depth maps are counted, not
+        /// measured.
         share: Option<f64>,
         /// Number of depth map files that are new or changed since the last measurement; left out
         /// where it is 0.

@@ -13,7 +13,7 @@ use crate::{
     config::{Budget, Settings, Share, SurfaceChoice},
     decision::DEFAULT_TARGET,
     method::confidence::{Confidence, Sharpness},
-    model::{scene::ModelWarning, surface::SurfaceKind},
+    model::surface::SurfaceKind,
 };
 
 /// Share of the observations of a table that may contradict it.

@@ -35,6 +35,10 @@ fn the_first_maps_cover_more_of_a_real_cloud_than_evenly_spread_ones() {
             .zip(&oracle)
             .all(|(ours, oracle)| ours <= oracle)
     );
+    // It covers 67, 85 and 90 %; a change that loses three points is worth a look.
+    for (number, least) in [(3, 0.64), (6, 0.82), (8, 0.87)] {
+        assert!(ours[number] > least, "{number} maps: {:.3}", ours[number]);
+    }
     // Beyond two thirds of the maps both have nearly all.
     for number in 2..=ours.len() * 2 / 3 {
         let (ours, spread) = (ours[number], spread[number]);

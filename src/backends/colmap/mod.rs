@@ -90,7 +90,8 @@ pub static BACKEND: Backend = Backend {
                 needs photometric maps of the partners too (--refs keys+partners)",
     },
     planning: PlanningNumbers {
-        measured: Some("1 set, in part"),
+        measured: "1 set, in part",
+        caution: None,
         source: "agreement: 128 photometric maps of COLMAP of a room; 3 degrees is its filter_min_triangulation_angle; gate and \
                  geometric confidence: the numbers of OpenMVS, the other PatchMatch (method 7.1, 7.2); support 2: stereo_fusion joins what at least min_num_pixels maps see, \
                  which the runner sets to 2",

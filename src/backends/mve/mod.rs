@@ -57,7 +57,8 @@ pub static BACKEND: Backend = Backend {
             full_agreement: 0.96,
         },
         support: 1,
-        measured: Some("4 sets, in part"),
+        measured: "4 sets, in part",
+        caution: None,
         source: "agreement: viewrank train on 101 maps of bf2279f of boruszyn, lewis and statue, of the rendered one only depths within 1 % of the \
                  exact scene; room took no part and is foreseen better too; support 1: scene2pset joins all depths, confirmed or not; \
                  gate: the numbers of OpenMVS (method 7.1)",

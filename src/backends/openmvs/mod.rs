@@ -80,7 +80,8 @@ pub(super) const PLANNING: PlanningNumbers = PlanningNumbers {
     photometric: PHOTOMETRIC,
     support: MAPS_PER_POINT as u32,
     work: WORK,
-    measured: Some("valley, 1 more"),
+    measured: "valley, 1 more",
+    caution: None,
     source: "success of v2.3.0 (CPU) on valley: below 5 degrees 0.09 to 0.36, from 8 to 60 degrees flat, no harm by scale up to \
              1.2 octaves (method 7.1, 7.2); no cosine of incidence: real maps of valley and boruszyn are then ranked better, and \
              foreseen better on valley (calibration error 0.02, with it 0.09); \

@@ -48,7 +48,8 @@ const NUMBERS: PlanningNumbers = PlanningNumbers {
         fixed: 0.13,
         per_map: 0.5,
     },
-    measured: Some("valley, 2 more"),
+    measured: "valley, 2 more",
+    caution: None,
     source: "measured with integrations/sgm/measure.py on valley against exact depth, on boruszyn and lewis against the \
              maps of 22 partners; support 1: a depth map is checked against its own pairs; work: seconds of maps of full and half size of six \
              sets (benches/sizes.py --matcher sgm)",

@@ -6,6 +6,7 @@ use serde::Serialize;
 
 use super::work::Work;
 use crate::{
+    backends,
     base::shell::shown_path,
     cli::{summary::duration, wrapped},
     daemon::follow,
@@ -124,6 +125,8 @@ impl Work<'_> {
         let (verdict, next) = self.verdict(result);
         let mut lines = vec![String::new()];
         lines.extend(wrapped("", &format!("{}; {verdict}.", result.in_words())));
+        let caution = backends::caution(result.backend).filter(|_| !result.is_whole);
+        lines.extend(caution.map(String::from));
         // On a line of its own, to be copied.
         lines.extend(next);
         for cloud in self.clouds() {

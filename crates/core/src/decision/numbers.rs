@@ -31,9 +31,11 @@ pub struct PlanningNumbers {
     pub support: u32,
     /// Work of a depth map (method 5.8).
     pub work: WorkPerMap,
-    /// Data sets that the numbers were measured on, in a few words; `None` where they are OpenMVS's,
-    /// for want of depth maps of the backend itself.
-    pub measured: Option<&'static str>,
+    /// Data sets that the numbers were measured on, or the backend that they were taken from; a few
+    /// words.
+    pub measured: &'static str,
+    /// What a user has to know of the shares that these numbers lead to, a sentence.
+    pub caution: Option<&'static str>,
     /// Source of the numbers and the gate, with the reason.
     pub source: &'static str,
 }

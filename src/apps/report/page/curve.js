@@ -106,10 +106,10 @@ function setUpCurve() {
   });
   curve.addEventListener('pointermove', event => { if (event.buttons & 1) change({ cut: cutAt(event) }); });
   byId('over').addEventListener('change', drawCurve);
-  const around = data.finished ? `Ranked around ${counted(data.finished, 'finished depth map')}: up to there the curve is by their measured fulfilment. ` : '';
+  const around = data.finished ? `Ranked around ${counted(data.finished, 'finished depth map')}: up to there the curve is by what they really keep. ` : '';
   const note = data.real
-    ? `Dashed: measured fulfilment of the triangles by the ${counted(data.real.maps, 'depth map')} in ${data.real.folder}${data.real.reference ? ' against the reference'
-      : ' (without --reference every depth counts as right)'}, over what all depth maps are predicted to give: an estimate of the share of the area${data.finished ? ' around the finished ones' : ''}.`
+    ? `Dashed: what fusion keeps of the ${counted(data.real.maps, 'depth map')} in ${data.real.folder}${data.real.reference ? ' against the reference'
+      : ' (without --reference every depth counts as right)'}, over what is expected of all depth maps: an estimate of the share of the area${data.finished ? ' around the finished ones' : ''}.`
     : !data.makes_maps ? 'Predicted.' : 'Predicted. To add finished depth maps from another folder to the curve: viewrank report --depth-maps DIR.';
   byId('curve-note').textContent = around + note;
   byId('bound').textContent = boundText();
