@@ -14,9 +14,12 @@ use super::{
     Honours, LastRun, PATCH_MATCH, Selection, Trap,
     clusters::{ClusterScript, recipe},
     strangers::name_links_in_scripts,
-    sure::stem,
 };
-use crate::{base::shell::quoted, io::depthmaps::MICMAC_MARK, model::cluster::RankedCluster};
+use crate::{
+    base::{paths::stem, shell::quoted},
+    io::depthmaps::MICMAC_MARK,
+    model::cluster::RankedCluster,
+};
 
 pub static BACKEND: Backend = Backend {
     name: "micmac",

@@ -8,7 +8,10 @@ use super::{
     Honours, LastRun, Selection, Trap, images::ANY_PROGRAM, selection::is_below,
 };
 use crate::{
-    base::input::{self, FileKind},
+    base::{
+        input::{self, FileKind},
+        paths::stem,
+    },
     io::project::Project,
     model::scene::ViewIndex,
 };
@@ -119,15 +122,6 @@ fn path_of<'a>(project: &'a Project, name: &'a str) -> &'a str {
     let path = images.map(|images| images.path_of(name));
     // Side files cannot be written beside one outside of the folder.
     path.filter(|path| is_below(path)).unwrap_or(name)
-}
-
-/// Returns the path without the extension.
-fn stem(name: &str) -> &str {
-    let file = name.rfind('/').map_or(0, |slash| slash + 1);
-    name[file..]
-        .rfind('.')
-        .filter(|&dot| dot > 0)
-        .map_or(name, |dot| &name[..file + dot])
 }
 
 /// Returns a side file with only the switches: RealityScan would interpret further attributes as a

@@ -16,6 +16,7 @@ use super::{
 use std::collections::HashMap;
 
 use crate::{
+    base::paths::stem,
     io::{formats::sure, output::FileSet, project::ProjectKind},
     model::{
         cluster::{Gate, MapScale, RankedCluster},
@@ -257,11 +258,6 @@ fn flat_names(selection: &Selection) -> Result<Vec<String>, BackendError> {
         names[view.index()] = flat;
     }
     Ok(names)
-}
-
-/// A name without its extension.
-pub(super) fn stem(name: &str) -> &str {
-    name.rsplit_once('.').map_or(name, |(stem, _)| stem)
 }
 
 fn orientation(selection: &Selection, view: ViewIndex, name: &str) -> String {

@@ -22,6 +22,19 @@ pub fn sub_folders(folder: &Path) -> Vec<PathBuf> {
     folders
 }
 
+/// A name with `/`, without its extension.
+pub fn stem(name: &str) -> &str {
+    match name.rsplit_once('.') {
+        // In `day.1/a` the dot is the folder's, and in `.a` it begins the name.
+        Some((stem, extension))
+            if !extension.contains('/') && !stem.is_empty() && !stem.ends_with('/') =>
+        {
+            stem
+        }
+        _ => name,
+    }
+}
+
 /// The path without links and `..`, also of a file that doesn't exist yet.
 pub fn real(path: &Path) -> PathBuf {
     let absolute = absolute(path);
@@ -90,6 +103,19 @@ pub fn from_here(path: &Path) -> PathBuf {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_extension_is_what_follows_the_last_dot_of_a_files_name() {
+        for (name, short) in [
+            ("day.1/a.b.jpg", "day.1/a.b"),
+            ("day.1/a", "day.1/a"),
+            ("day.1/.a", "day.1/.a"),
+            (".a", ".a"),
+            ("a", "a"),
+        ] {
+            assert_eq!(stem(name), short);
+        }
+    }
 
     #[test]
     fn a_path_is_typed_as_briefly_as_it_can_be() {

@@ -508,11 +508,13 @@ fn by_suffix(scene: &Scene, path: &str, extension: &str) -> Option<ViewIndex> {
 /// As [`by_suffix`], for an image whose file has another extension than its name in the model, or
 /// one more; `None` if several views may be meant.
 fn by_suffix_of_any_kind(scene: &Scene, path: &str) -> Option<ViewIndex> {
+    // What follows a dot may also be a part of the name.
     fn stem(name: &str) -> &str {
-        // What follows a dot may also be a part of the name.
-        let is_kind = is_image(Path::new(name));
-        let stem = name.rsplit_once('.').filter(|_| is_kind);
-        stem.map_or(name, |(stem, _)| stem)
+        if is_image(Path::new(name)) {
+            paths::stem(name)
+        } else {
+            name
+        }
     }
     let path = stem(path);
     let length = |view: &ViewIndex| {

@@ -260,9 +260,7 @@ fn positions<'a>(
 
 /// A name with `/`, without its extension and in lower case.
 fn stem(name: &str) -> String {
-    let name = name.replace('\\', "/");
-    let stem = name.rsplit_once('.').map_or(&*name, |(stem, _)| stem);
-    stem.to_lowercase()
+    crate::paths::stem(&name.replace('\\', "/")).to_lowercase()
 }
 
 /// The last part of a stem.

@@ -4,7 +4,8 @@ use std::{collections::HashSet, ffi::OsStr, path::Path};
 
 use walkdir::WalkDir;
 
-use super::{MASKS, names::stem};
+use super::MASKS;
+use crate::paths::stem;
 
 /// Extensions of image files, lower case.
 pub(super) const EXTENSIONS: [&str; 10] = [

@@ -21,7 +21,7 @@ use crate::{
         foreign::{is_of_windows, last_parts},
         name_parts,
     },
-    paths,
+    paths::{self, stem},
 };
 
 /// Names of the folder of images of which programs make reduced copies.
@@ -320,15 +320,6 @@ impl Listing {
 /// The last part of a name.
 pub(super) fn last(name: &str) -> &str {
     name.rsplit(SEPARATORS).next().unwrap_or(name)
-}
-
-/// A name without its extension.
-pub(super) fn stem(name: &str) -> &str {
-    match name.rsplit_once('.') {
-        // In `day.1/a` the dot is the folder's.
-        Some((stem, extension)) if !extension.contains('/') => stem,
-        _ => name,
-    }
 }
 
 /// A name in lower case and one Unicode form: macOS decomposes characters, others compose them.

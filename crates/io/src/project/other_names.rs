@@ -10,9 +10,9 @@ use walkdir::WalkDir;
 use super::{
     folder::is_skipped,
     image_files::{MOST_ENTRIES, is_image, slashes},
-    names::{Names, folded, last, stem},
+    names::{Names, folded, last},
 };
-use crate::formats::name_parts;
+use crate::{formats::name_parts, paths::stem};
 
 /// Images of a model that are not in the folder under their names.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

@@ -9,11 +9,12 @@ use viewrank_core::model::scene::{ModelWarning, Scene, ViewIndex, WarningKind};
 
 use super::{
     ModelLocation,
-    names::{folded, last, stem},
+    names::{folded, last},
 };
 use crate::{
     formats::{name_parts, transforms},
     input::{self, FileKind},
+    paths::stem,
 };
 
 /// That of the scripts of 3D Gaussian Splatting, beside the model.
