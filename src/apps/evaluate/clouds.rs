@@ -108,7 +108,8 @@ fn nearest(points: &[Point3<f64>], others: &[Point3<f64>]) -> Vec<f64> {
     points.par_iter().map(distance).collect()
 }
 
-fn cube(point: &Point3<f64>, edge: f64) -> [i64; 3] {
+/// Returns the cube of a grid, of this edge, that a point is in.
+pub fn cube(point: &Point3<f64>, edge: f64) -> [i64; 3] {
     [0, 1, 2].map(|axis| (point[axis] / edge).floor() as i64)
 }
 

@@ -75,9 +75,7 @@ impl ReachCurve {
     /// Returns the smallest number of first clusters of which fusion keeps at least this weight;
     /// `None` if it keeps less of all of them.
     pub fn clusters_for(&self, kept: f64) -> Option<usize> {
-        // A further cluster never lowers what is kept, so the curve can be bisected.
-        let clusters = self.kept.partition_point(|&k| k < kept - ROUNDING);
-        (clusters < self.kept.len()).then_some(clusters)
+        first_at(&self.kept, kept)
     }
 
     /// Returns the weight that fusion keeps of the first clusters as a share of `total`; 0 if that
@@ -90,6 +88,11 @@ impl ReachCurve {
 
 /// Tolerance: sums of the same terms in a different order differ by less.
 const ROUNDING: f64 = 1e-9;
+
+/// Returns the first place of a curve that is at this height; `None` if all of it is below.
+pub fn first_at(curve: &[f64], height: f64) -> Option<usize> {
+    curve.iter().position(|&value| value >= height - ROUNDING)
+}
 
 /// The shares at which curves are read: 10, 20, ... 90 %.
 pub const SHARES: [f64; 9] = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9];

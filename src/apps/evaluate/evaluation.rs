@@ -8,7 +8,7 @@ use super::{
     baselines::{self, Order},
     cells::{CellSource, CellsEvaluation, Incidence},
     clouds::CloudComparison,
-    curve::{ReachCurve, SHARES},
+    curve::{ReachCurve, SHARES, first_at},
     half_size::HalfSize,
     measure::Quality,
     missing::{MeasuredSurface, Missing},
@@ -196,14 +196,8 @@ impl Evaluation {
     /// % of the total.
     pub fn enough_in_words(&self) -> String {
         let maps = self.key_views.len();
-        let enough = |share: f64| {
-            self.curve
-                .real
-                .iter()
-                // A sum of cells over their number may miss nine tenths by rounding.
-                .position(|&real| real >= share - 1e-9)
-                .filter(|_| self.cells.all.cells > 0.0)
-        };
+        let enough =
+            |share: f64| first_at(&self.curve.real, share).filter(|_| self.cells.all.cells > 0.0);
         let enough = [0.95, 0.9].map(enough);
         let give = if enough[1] == Some(1) {
             "gives"

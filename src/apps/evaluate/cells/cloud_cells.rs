@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use super::{CloudPart, FusedPoints, Incidence, gsd::PlaceGsd, incidence::Row};
 use crate::{
-    apps::evaluate::EvaluateError,
+    apps::evaluate::{EvaluateError, clouds::cube},
     base::{kd_tree::KdTree, progress::Watcher},
     plan::Stages,
 };
@@ -65,7 +65,7 @@ impl CloudCells {
             // Not in parallel: the first point of a cube is the centre of its cell.
             for (point, octave) in part.points.iter().zip(octaves) {
                 if let Some(octave) = octave {
-                    found.add((octave, cube(point, octave)), point);
+                    found.add((octave, cube(point, edge(octave))), point);
                 }
             }
             Ok(())
@@ -160,7 +160,7 @@ impl CloudCells {
             .filter_map(move |(&octave, [low, high])| {
                 let edge = edge(octave);
                 let is_outside = (low - point).max() > edge || (point - high).max() > edge;
-                let block = (!is_outside).then(|| block(cube(point, octave)))?;
+                let block = (!is_outside).then(|| block(cube(point, edge)))?;
                 let cells = self.blocks.get(&(octave, block))?;
                 Some((
                     edge,
@@ -261,11 +261,6 @@ fn edge(octave: i16) -> f64 {
     2.0 * f64::from(octave).exp2()
 }
 
-fn cube(point: &Point3<f64>, octave: i16) -> [i64; 3] {
-    let edge = edge(octave);
-    [0, 1, 2].map(|axis| (point[axis] / edge).floor() as i64)
-}
-
 /// The block of a cube.
 fn block(cube: [i64; 3]) -> [i64; 3] {
     cube.map(|position| position.div_euclid(BLOCK))
@@ -318,7 +313,7 @@ mod tests {
     fn found(points: &[(i16, Point3<f64>)], most: usize) -> FoundCells {
         let mut found = FoundCells::new(most);
         for (octave, point) in points {
-            found.add((*octave, cube(point, *octave)), point);
+            found.add((*octave, cube(point, edge(*octave))), point);
         }
         found
     }

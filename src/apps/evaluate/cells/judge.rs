@@ -10,7 +10,7 @@ use super::{
     oracle,
 };
 use crate::{
-    apps::evaluate::orders,
+    apps::evaluate::{curve::first_at, orders},
     model::{cluster::ViewCluster, scene::Scene},
 };
 
@@ -151,7 +151,7 @@ impl CellOrders {
                 let whole = last[i] - first[i];
                 (whole > 0.0).then(|| (covered[i] - first[i]) / whole)
             });
-            let needed = NEEDED.map(|share| least(&curve, share).unwrap_or(usable.len()));
+            let needed = NEEDED.map(|share| first_at(&curve, share).unwrap_or(usable.len()));
             JudgedOrder {
                 name,
                 curve,
@@ -190,12 +190,6 @@ fn random(table: &Incidence, usable: &[u32]) -> [Vec<f64>; 2] {
 /// Number of maps at a share of them; fusion needs two.
 pub(super) fn at(tenth: f64, maps: usize) -> usize {
     ((tenth * maps as f64).round() as usize).max(2).min(maps)
-}
-
-/// Smallest number of first maps that cover a share.
-fn least(curve: &[f64], share: f64) -> Option<usize> {
-    // Exactly nine tenths of the cells may come out a rounding error below 0.9.
-    curve.iter().position(|&covered| covered >= share - 1e-9)
 }
 
 /// The means of both kinds of curves.
