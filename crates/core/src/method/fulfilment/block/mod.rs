@@ -249,27 +249,42 @@ impl<'a> Block<'a> {
         }
         let own = self.own_unary();
         for partner in 0..self.partners.len() {
-            let by_views = self.gather_partner(partner, &own, slot_of);
+            for slot in self.slots_seen_by(partner, slot_of).map(|(_, slot)| slot) {
+                self.sees[partner][slot] = true;
+            }
             let chances = self.agreed_chances(partner);
             self.agreed.push(chances.is_some());
-            self.unary.push(chances.unwrap_or(by_views));
+            let unary = chances.unwrap_or_else(|| self.unary_factors(partner, &own, slot_of));
+            self.unary.push(unary);
         }
         // Only the entries that were set: the array is as long as the surface has triangles.
         seen.iter().for_each(|&t| slot_of[t as usize] = EMPTY);
     }
 
-    /// Marks what a partner sees, and returns the unary factors of both views, given those of the
-    /// key view.
-    fn gather_partner(&mut self, partner: usize, own: &[AtTriangle], slot_of: &[u32]) -> Vec<f32> {
+    /// Returns the rows of a partner's visibility that have a slot, with it.
+    fn slots_seen_by<'s>(
+        &self,
+        partner: usize,
+        slot_of: &'s [u32],
+    ) -> impl Iterator<Item = (usize, usize)> + use<'s, 'a> {
+        let seen = self
+            .model
+            .visibility
+            .triangles_seen_by(self.partners[partner]);
+        let slots = seen.iter().map(|&t| slot_of[t as usize]).enumerate();
+        slots
+            .filter(|(_, slot)| *slot != EMPTY)
+            .map(|(row, slot)| (row, slot as usize))
+    }
+
+    /// Returns the unary factors of both views by slot, given those of the key view.
+    fn unary_factors(&self, partner: usize, own: &[AtTriangle], slot_of: &[u32]) -> Vec<f32> {
         let (model, view) = (&self.model, self.partners[partner]);
         let mut factors = vec![0.0; own.len()];
         let unary = model.unary.of_rows(model.visibility.rows(view));
-        let seen = model.visibility.triangles_seen_by(view).iter();
-        let slots = seen.map(|&t| slot_of[t as usize]).enumerate();
-        for (row, slot) in slots.filter(|(_, slot)| *slot != EMPTY) {
-            self.sees[partner][slot as usize] = true;
-            if let Some(own) = own.get(slot as usize) {
-                factors[slot as usize] = own.with(unary.at(row)) as f32;
+        for (row, slot) in self.slots_seen_by(partner, slot_of) {
+            if let Some(own) = own.get(slot) {
+                factors[slot] = own.with(unary.at(row)) as f32;
             }
         }
         factors
