@@ -170,8 +170,9 @@ pub struct Tasks {
 /// How the clusters of an export are computed one by one, and their depth maps fused.
 #[derive(Clone, Debug)]
 pub struct TaskRunner {
-    /// Its commands need a Python, which the variable `PYTHON` may name.
-    pub takes_python: bool,
+    /// What to do where the Python that its commands need lacks their packages; the variable `PYTHON`
+    /// may name another. `None`: they need none.
+    pub python: Option<&'static str>,
     /// Makes ready what a task needs, and returns its commands, each run if the one before
     /// succeeds; they depend on no current folder, and may run side by side with those of other
     /// depth maps. An error is a reason in words.

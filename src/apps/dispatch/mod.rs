@@ -276,7 +276,7 @@ impl Dispatch {
     /// programs need; empty without any.
     pub fn environment(&self, tools: &Tools) -> String {
         // A bare name is found on the PATH of each node.
-        if !self.runner.takes_python || !tools.python.is_absolute() {
+        if self.runner.python.is_none() || !tools.python.is_absolute() {
             return String::new();
         }
         let python = sh_word(&tools.python.display().to_string());

@@ -65,7 +65,7 @@ fn tasks(selection: &Selection, export: &Export) -> TaskRunner {
     let image_id = |cluster: &RankedCluster| selection.scene.view(cluster.key).image_id;
     let map = |cluster| Some(root.join(run::map_of(image_id(cluster))));
     TaskRunner {
-        takes_python: false,
+        python: None,
         commands: run::commands,
         // EXR files are renamed when they are complete.
         is_whole: is_not_empty,

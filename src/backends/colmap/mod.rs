@@ -133,7 +133,7 @@ fn tasks(selection: &Selection, export: &Export) -> TaskRunner {
         made.contains(name).then(|| export.files.root.join(path))
     };
     TaskRunner {
-        takes_python: false,
+        python: None,
         commands: run::commands,
         is_whole: run::is_whole,
         finish: run::finish,

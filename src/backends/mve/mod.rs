@@ -94,7 +94,7 @@ fn tasks(selection: &Selection, export: &Export) -> TaskRunner {
     };
     let clouds = joining(selection).into_iter();
     TaskRunner {
-        takes_python: false,
+        python: None,
         commands: run::commands,
         is_whole: run::is_whole,
         finish: run::finish,

@@ -132,7 +132,7 @@ fn tasks(selection: &Selection, export: &Export) -> TaskRunner {
         )))
     };
     TaskRunner {
-        takes_python: false,
+        python: None,
         commands: run::commands,
         is_whole: WholeMap::is_there,
         finish: run::finish,

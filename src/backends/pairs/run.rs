@@ -90,7 +90,7 @@ fn tasks(selection: &Selection, export: &Export) -> TaskRunner {
     let key = |cluster: &RankedCluster| selection.scene.view(cluster.key).image_id;
     let map = |cluster| Some(root.join(file_of("depth_est", key(cluster))));
     TaskRunner {
-        takes_python: true,
+        python: Some("name a Python with the packages of PatchmatchNet in PYTHON"),
         commands,
         is_whole,
         finish,

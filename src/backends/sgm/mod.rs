@@ -131,7 +131,10 @@ fn tasks(selection: &Selection, _: &Export) -> TaskRunner {
         Some(out.join(format!("depth_maps/{}.npy", selection.scene.name(c.key))))
     };
     TaskRunner {
-        takes_python: true,
+        python: Some(
+            "name a Python with numpy and opencv in PYTHON: python3 -m venv V && V/bin/pip install numpy \
+             opencv-python-headless",
+        ),
         commands,
         is_whole: is_not_empty,
         finish: finishes_itself,

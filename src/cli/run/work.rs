@@ -465,15 +465,14 @@ impl<'a> Work<'a> {
         };
         let (name, key, why) = (self.backend.name, &task.key, last_line(output));
         let message = format!("{name} made no depth map of {in_a_row}{key}: {why}");
-        let hint = match self.backend.name {
+        let hint = match self.dispatch.runner().python {
             _ if output.contains("No space left on device") => {
-                format!("free some space there; finished depth maps are kept, and this goes on: {}", self.again())
+                format!(
+                    "free some space there; finished depth maps are kept, and this goes on: {}",
+                    self.again()
+                )
             }
-            "sgm" if output.contains("ModuleNotFoundError") => {
-                "name a Python with numpy and opencv in PYTHON: python3 -m venv V && V/bin/pip install numpy \
-                 opencv-python-headless"
-                    .into()
-            }
+            Some(python) if output.contains("ModuleNotFoundError") => python.into(),
             _ => format!(
                 "check the images (viewrank doctor {}) and the program (with one of its own commands), or take another --backend",
                 self.plan.project.as_argument()
