@@ -15,7 +15,7 @@
 //! ```
 //! use viewrank_core::base::progress::NoWatcher;
 //! use viewrank_core::method::confidence::NoPictures;
-//! use viewrank_core::method::twins::{self, Twin};
+//! use viewrank_core::method::twins::{self, Excluded, Twin};
 //! use viewrank_core::model::arrays::{Intrinsics, SceneArrays};
 //! use viewrank_core::model::scene::{Scene, ViewIndex};
 //!
@@ -33,8 +33,8 @@
 //!     observations: (0..105).map(|i| [i / 3, i % 3]).filter(|o| o[1] > 0 || o[0] % 2 == 0).collect(),
 //!     pixels: Vec::new(),
 //! })?;
-//! let source = (&NoPictures as _, 1.0);
-//! let twins = twins::twins(&scene, &scene.view_points(), (&[], &[]), source, &NoWatcher)?;
+//! let (points, none) = (scene.view_points(), Excluded::default());
+//! let twins = twins::twins(&scene, &points, none, &NoPictures, 1.0, &NoWatcher)?;
 //! assert_eq!(twins, [Twin { view: ViewIndex(0), sharper: ViewIndex(1) }]);
 //! # Ok(())
 //! # }

@@ -38,9 +38,10 @@
 //! let clusters = views.map(|key| ViewCluster { key, partners: partners(key) });
 //! let depths = [10.0, 10.0, 10.0, 5.0];
 //! let made = views.map(|v| PilotMap::made_by_program(&scene, v, |_| Some(depths[v.index()])));
-//! let (model, source) = ((&scene, &scene.view_points()), (&NoPictures as _, 1.0));
-//! let thumbnails = Thumbnails::new(4);
-//! let maps = pilot::maps(model, &clusters, made.to_vec(), thumbnails, source, &NoWatcher)?;
+//! let (points, pictures, thumbnails) =
+//!     (scene.view_points(), (&NoPictures as _, 1.0), Thumbnails::new(4));
+//! let made = made.to_vec();
+//! let maps = pilot::maps(&scene, &points, &clusters, made, thumbnails, pictures, &NoWatcher)?;
 //! let places = Places::new(&clusters, maps, 2, 1.0, &NoWatcher)?;
 //! assert!(places.centres.iter().all(|place| (place.z - 10.0).abs() < 1e-3));
 //! assert!(!places.of_view(views[0]).is_empty() && places.of_view(views[3]).is_empty());
