@@ -108,7 +108,7 @@ pub static PATCHMATCHNET: Backend = Backend {
         },
         measured: "5 sets, in part",
         caution: Some(
-            "By its maps of five sets, the cloud has 3 to 24 points less of its area than shares say.",
+            "By its maps of five sets, the cloud has 3 to 24 points less than these shares say.",
         ),
         source: "agreement: what its fusion keeps of 219 maps of 974abc0 (CPU) of boruszyn, lewis, statue and room; valley took no part and is foreseen \
                  better too; support 2: its fusion wants one other map that agrees; gate: the numbers of OpenMVS (method 7.1)",
