@@ -217,7 +217,7 @@ def strip(plan):
 
 # Headline, and what happens there.
 BOXES = [("sparse model", "poses and points", "of COLMAP and others"), ("surface", "carved from points", "and their rays"),
-         ("visibility", "which view sees", "which triangle"), ("prediction", "where will matching", "succeed, how well"),
+         ("partners", "views that see the same", "and will match"), ("thumbnails", "matched once: what", "agrees is counted"),
          ("ranking", "the view that adds", "most comes next"), ("files", "for COLMAP, OpenMVS,", "SURE and others")]
 
 

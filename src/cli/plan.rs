@@ -50,6 +50,9 @@ use super::{
 
 /// Rank the view clusters of a project and write the plan to PROJECT/viewrank.
 ///
+/// Where there are images, all views are first matched in thumbnails, and the plan ranks by what
+/// agreed.
+///
 /// PROJECT is a COLMAP project (sparse/, images/), a dense workspace (sparse/, images/, stereo/),
 /// the folder of a sparse model, or a model (or its folder) of Bundler, VisualSFM (.nvm), OpenMVG,
 /// OpenSfM, OpenDroneMap, AliceVision, OpenMVS (.mvs), SURE (.ori), MVE (synth_0.out), MicMac
