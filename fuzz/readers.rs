@@ -186,7 +186,9 @@ pub fn read_foreign(name: &str, data: &[u8]) {
     };
     match found.and_then(|foreign| Ok((foreign.scene()?, foreign))) {
         Ok((scene, foreign)) => check(&foreign.model, &scene),
-        Err(fault) => assert!(!fault.to_string().is_empty() && !fault.problem.hint().is_empty()),
+        Err(fault) => {
+            assert!(!fault.to_string().is_empty() && !fault.problem.hint().to_string().is_empty())
+        }
     }
 }
 
@@ -265,7 +267,9 @@ pub fn replace(target: &str, data: &[u8], files: &Files) {
         match read(&bytes, target.ends_with("txt")) {
             Ok((model, scene)) => check(&model, &scene),
             Err(fault) => {
-                assert!(!fault.to_string().is_empty() && !fault.problem.hint().is_empty())
+                assert!(
+                    !fault.to_string().is_empty() && !fault.problem.hint().to_string().is_empty()
+                )
             }
         }
     }

@@ -40,9 +40,7 @@ const RECTIFYING: PlanningNumbers = PlanningNumbers {
     support: 1,
     work: super::openmvs::WORK,
     measured: "valley (sgm)",
-    caution: Some(
-        "SURE itself was not run: a stand-in gave 29 and 61 % of what was foreseen.",
-    ),
+    caution: Some("SURE itself was not run: a stand-in gave 29 and 61 % of what was foreseen."),
     source: "gate: of rectified pairs, measured on valley against exact depth (method 7.1); confidence: integrations/sgm's, by whose \
              real curves it ranks best (method 7.2's 0.8, a cosine and 0.7 octaves rank worse than none); SURE itself was not \
              run; support 1: a depth map is checked against its own pairs",
