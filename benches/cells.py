@@ -29,8 +29,8 @@ import sys
 from pathlib import Path
 
 import colmap_cuda
-from partners import Exact
 from fused import positions
+from partners import Exact
 from scipy.spatial import cKDTree
 from sizes import Bench, OpenMvs, Reference, Sgm
 
@@ -257,12 +257,13 @@ class PatchmatchNet(Bench):
         shutil.rmtree(joined, ignore_errors=True)
         (joined / "depths").mkdir(parents=True)
         (joined / "pair.txt").write_text(f"{len(entries)}\n" + "".join(entries))
-        for link, folder in {"cams": "cams", "images": "images", "depths/depth_est": "depths/depth_est", "depths/confidence": "depths/confidence"}.items():
-            (joined / link).symlink_to((whole / folder).resolve())
+        for folder in ("cams", "images", "depths/depth_est", "depths/confidence"):
+            (joined / folder).symlink_to((whole / folder).resolve())
+        checkpoint = os.environ.get("CHECKPOINT", "checkpoints/params_000007.ckpt")
         options = re.search(r"--output_type fusion .*(?=\))", (whole / "run.sh").read_text())[0].split()
-        folder = os.environ["PATCHMATCHNET"]
-        command = [os.environ.get("PYTHON", "python3"), "eval.py", "--input_folder", joined, "--output_folder", joined / "depths", "--checkpoint_path", os.environ.get("CHECKPOINT", "checkpoints/params_000007.ckpt"), *options]
-        subprocess.run(command, cwd=folder, check=True, stdout=subprocess.DEVNULL)
+        folders = ["--input_folder", joined, "--output_folder", joined / "depths"]
+        command = [os.environ.get("PYTHON", "python3"), "eval.py", *folders, "--checkpoint_path", checkpoint, *options]
+        subprocess.run(command, cwd=os.environ["PATCHMATCHNET"], check=True, stdout=subprocess.DEVNULL)
         return positions((joined / "depths/fused.ply").read_bytes())
 
 

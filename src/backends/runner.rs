@@ -170,8 +170,8 @@ pub struct Tasks {
 /// How the clusters of an export are computed one by one, and their depth maps fused.
 #[derive(Clone, Debug)]
 pub struct TaskRunner {
-    /// What to do where the Python that its commands need lacks their packages; the variable `PYTHON`
-    /// may name another. `None`: they need none.
+    /// Hint for a Python that lacks the packages of its commands; the variable `PYTHON` may name
+    /// another Python. `None`: no Python is needed.
     pub python: Option<&'static str>,
     /// Makes ready what a task needs, and returns its commands, each run if the one before
     /// succeeds; they depend on no current folder, and may run side by side with those of other

@@ -335,7 +335,8 @@ pub fn is_below(path: &str) -> bool {
     Path::new(path).components().all(is_name)
 }
 
-/// Names an image that is in the folder instead; empty if there is none.
+/// Returns the name of an image that the folder has instead, as a part of the sentence; empty if
+/// it has none.
 fn others_than(name: &str, folder: &ImageFolder) -> String {
     match folder.first_image() {
         Some(_) if folder.candidates_for(name).is_some() => " by its name".into(),

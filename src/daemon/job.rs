@@ -308,7 +308,7 @@ impl PlanJob {
                 &disk,
             )?;
         }
-        self.record(&mut progress, job.project, &disk)?;
+        self.write_progress(&mut progress, job.project, &disk)?;
         let note = self.settings(job.project).ok().and_then(|(_, note)| note);
         Ok(progress.outcome(note))
     }
@@ -323,7 +323,7 @@ impl PlanJob {
     }
 
     /// Writes the progress, and announces a target that is reached now.
-    fn record(&self, progress: &mut Progress, root: &Path, disk: &Disk) -> StepResult<()> {
+    fn write_progress(&self, progress: &mut Progress, root: &Path, disk: &Disk) -> StepResult<()> {
         progress.keep_announced(root);
         progress.write(root, disk).map_err(failed)?;
         if progress.target_reached && !progress.announced {
@@ -595,7 +595,7 @@ fn wait_for(mut command: Child, project: &Path) {
     }
 }
 
-/// Makes the plan, around the depth maps that are finished; one without view clusters is none.
+/// Plans around the finished depth maps. Without view clusters the project is incomplete.
 fn planned(project: &Project, settings: &Settings, job: &Job) -> StepResult<Plan> {
     let plan = planning::plan(project, settings, &JobWatcher::new(job)).map_err(sort_out)?;
     let plan = around_finished(plan, project, job)?;

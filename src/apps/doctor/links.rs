@@ -121,7 +121,7 @@ fn overlaps(inputs: &Inputs, view: ViewIndex) -> (ViewIndex, Vec<Overlap>) {
     }
     let scene = inputs.scene;
     let centre = scene.view(view).cam_from_world.centre();
-    // A view without points has none in common with any other, which is no fault of its neighbours.
+    // A view without points shares none with any other; its neighbours are not to blame.
     let mut others: Vec<(f64, ViewIndex)> = scene
         .view_indices()
         .filter(|&v| v != view && !inputs.points.observed_by(v).is_empty())

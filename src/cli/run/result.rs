@@ -126,7 +126,7 @@ impl Work<'_> {
         let mut lines = vec![String::new()];
         lines.extend(wrapped("", &format!("{}; {verdict}.", result.in_words())));
         let caution = backends::caution(result.backend).filter(|_| !result.is_whole);
-        lines.extend(caution.map(String::from));
+        lines.extend(caution.into_iter().flat_map(|caution| wrapped("", caution)));
         // On a line of its own, to be copied.
         lines.extend(next);
         for cloud in self.clouds() {

@@ -74,16 +74,15 @@ impl ProjectError {
             Self::Fault { path, fault } => {
                 let mistaken = mistaken::of_file(&path).or_else(|| mistaken::text_as_binary(&path));
                 // The kind of a file says nothing of its contents, which a fault may quote.
-                if let Some(what) = mistaken::json_without_frames(&path, &fault) {
-                    return Self::WithoutFrames { path, what };
-                }
-                match mistaken {
-                    Some(mistaken) => Self::Mistaken { path, mistaken },
-                    None if is_outside(&path, named) => Self::Fault {
+                let without_frames = mistaken::json_without_frames(&path, &fault);
+                match (mistaken, without_frames) {
+                    (Some(mistaken), _) => Self::Mistaken { path, mistaken },
+                    (None, Some(what)) => Self::WithoutFrames { path, what },
+                    (None, None) if is_outside(&path, named) => Self::Fault {
                         path,
                         fault: Fault::new(fault.file, fault.place, Problem::Hidden),
                     },
-                    None => Self::Fault { path, fault },
+                    (None, None) => Self::Fault { path, fault },
                 }
             }
             error => error,
